@@ -1,0 +1,86 @@
+//! Camera paths: the poses of a replay, from a file or made for a scene.
+
+mod csv;
+mod generate;
+mod grid;
+mod route;
+mod voxels;
+mod walk;
+
+pub use self::csv::{PathError, read_csv, write_csv};
+pub use generate::{GenerateError, PathKind, generate};
+
+use protocol::camera::{Camera, CameraError};
+
+/// Distance of the near plane as a share of the scene's diagonal: a centimetre in a hall of 100 m.
+pub const NEAR_OF_DIAGONAL: f64 = 1e-4;
+
+/// Full vertical field of view of generated poses, degrees.
+pub const FOV_Y_DEG: f64 = 60.0;
+
+/// Where one picture is taken from, in the scene's units and axes.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Pose {
+    /// Position.
+    pub eye: [f64; 3],
+    /// A point in the middle of the picture.
+    pub target: [f64; 3],
+    /// Roughly up; neither zero nor along the view.
+    pub up: [f64; 3],
+    /// Full vertical field of view, degrees, in (0, 180).
+    pub fov_y_deg: f64,
+}
+
+/// A pose that makes no camera.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[error("frame {frame}: {source}")]
+pub struct CamerasError {
+    /// Index of the pose.
+    pub frame: usize,
+    /// What is wrong with it.
+    pub source: CameraError,
+}
+
+/// Near plane for a scene whose box has this diagonal, scene units.
+///
+/// A scene without extent has no scale to go by; its near plane is [`NEAR_OF_DIAGONAL`] units.
+pub fn near_plane(diagonal: f64) -> f64 {
+    NEAR_OF_DIAGONAL * if diagonal > 0.0 { diagonal } else { 1.0 }
+}
+
+/// Cameras of `poses` with the near plane at `near` scene units.
+///
+/// # Errors
+/// The first pose that makes no camera.
+pub fn cameras(poses: &[Pose], near: f64) -> Result<Vec<Camera>, CamerasError> {
+    poses
+        .iter()
+        .enumerate()
+        .map(|(frame, pose)| {
+            Camera::look_at(pose.eye, pose.target, pose.up, pose.fov_y_deg, near)
+                .map_err(|source| CamerasError { frame, source })
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_bad_pose_is_named() {
+        let good = Pose {
+            eye: [0.0; 3],
+            target: [1.0, 0.0, 0.0],
+            up: [0.0, 1.0, 0.0],
+            fov_y_deg: FOV_Y_DEG,
+        };
+        let bad = Pose { up: [3.0, 0.0, 0.0], ..good };
+        assert_eq!(cameras(&[good, good], 0.1).unwrap().len(), 2);
+        assert_eq!(
+            cameras(&[good, bad], 0.1),
+            Err(CamerasError { frame: 1, source: CameraError::NoUp })
+        );
+        assert!(near_plane(0.0) > 0.0);
+    }
+}

@@ -1,0 +1,209 @@
+//! Run settings from text: rig files, and the spellings that flags and rig files share.
+
+use protocol::settings::{BackendChoice, Cull, PictureSize, Schedule};
+use serde::{Deserialize, Deserializer};
+use std::net::SocketAddr;
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+
+/// Largest picture side.
+const MAX_SIDE: u32 = 16_384;
+
+/// Why a rig file cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum ConfigError {
+    /// It cannot be read.
+    #[error("cannot read the rig file {}: {source}", path.display())]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// It is no TOML, or holds an unknown key or a bad value.
+    #[error("the rig file {} is wrong: {source}", path.display())]
+    Parse {
+        /// The file.
+        path: PathBuf,
+        /// Where and why.
+        source: Box<toml::de::Error>,
+    },
+}
+
+/// A rig file: every key is optional, a flag or `OCCLUSTER_*` variable goes before it.
+#[derive(Debug, Clone, PartialEq, Default, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Rig {
+    /// 1 or 3.
+    pub processes: Option<Processes>,
+    /// Where the coordinator listens; port 0 takes a free one.
+    pub bind: Option<SocketAddr>,
+    /// Who does what.
+    pub schedule: Option<Schedule>,
+    /// Which renderer.
+    pub backend: Option<BackendChoice>,
+    /// Picture size, `WIDTHxHEIGHT`.
+    #[serde(default, deserialize_with = "from_text")]
+    pub size: Option<Size>,
+    /// How hidden hlods are found.
+    pub cull: Option<Cull>,
+    /// Pixel error.
+    pub lod: Option<PixelError>,
+    /// `every=N` or `off`.
+    #[serde(default, deserialize_with = "from_text")]
+    pub audit: Option<Every>,
+    /// Whether pictures are written.
+    pub pictures: Option<Pictures>,
+}
+
+impl Rig {
+    /// Reads a rig file.
+    pub fn read(path: &Path) -> Result<Self, ConfigError> {
+        let text = std::fs::read_to_string(path)
+            .map_err(|source| ConfigError::Read { path: path.to_owned(), source })?;
+        toml::from_str(&text).map_err(|source| ConfigError::Parse {
+            path: path.to_owned(),
+            source: Box::new(source),
+        })
+    }
+}
+
+/// Number of render processes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+#[serde(try_from = "u32")]
+pub struct Processes(pub u32);
+
+impl TryFrom<u32> for Processes {
+    type Error = String;
+
+    fn try_from(count: u32) -> Result<Self, String> {
+        match count {
+            1 | 3 => Ok(Self(count)),
+            _ => Err(format!("{count} processes cannot share the three roles: give 1 or 3")),
+        }
+    }
+}
+
+impl FromStr for Processes {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        text.parse::<u32>().map_err(|_| format!("`{text}` is not 1 or 3"))?.try_into()
+    }
+}
+
+/// Largest error in pixels; 0 for the original geometry.
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
+#[serde(try_from = "f64")]
+pub struct PixelError(pub f64);
+
+impl TryFrom<f64> for PixelError {
+    type Error = String;
+
+    fn try_from(pixels: f64) -> Result<Self, String> {
+        if pixels.is_finite() && pixels >= 0.0 {
+            Ok(Self(pixels))
+        } else {
+            Err(format!("{pixels} is not a pixel error: give a number of at least 0"))
+        }
+    }
+}
+
+impl FromStr for PixelError {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        text.parse::<f64>().map_err(|_| format!("`{text}` is not a number"))?.try_into()
+    }
+}
+
+/// A picture size in text, `640x360`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Size(pub PictureSize);
+
+impl FromStr for Size {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let side =
+            |text: &str| text.parse::<u32>().ok().filter(|side| (1..=MAX_SIDE).contains(side));
+        let (width, height) = text.split_once('x').unwrap_or((text, ""));
+        match (side(width), side(height)) {
+            (Some(width), Some(height)) => Ok(Self(PictureSize { width, height })),
+            _ => Err(format!(
+                "`{text}` is not a size: write WIDTHxHEIGHT, each from 1 to {MAX_SIDE}"
+            )),
+        }
+    }
+}
+
+/// `every=N`, or `off` (0).
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Every(pub u32);
+
+impl FromStr for Every {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let count = text
+            .strip_prefix("every=")
+            .and_then(|count| count.parse().ok())
+            .filter(|&count| count > 0);
+        match (text, count) {
+            ("off", _) => Ok(Self(0)),
+            (_, Some(count)) => Ok(Self(count)),
+            _ => Err(format!("`{text}` is neither `off` nor `every=N` with N at least 1")),
+        }
+    }
+}
+
+/// Whether pictures are written.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Pictures {
+    /// As PNG files.
+    Png,
+    /// Not at all.
+    Off,
+}
+
+fn from_text<'de, D: Deserializer<'de>, T: FromStr<Err = String>>(
+    deserializer: D,
+) -> Result<Option<T>, D::Error> {
+    String::deserialize(deserializer)?.parse().map(Some).map_err(serde::de::Error::custom)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sizes_and_audits_read_as_written() {
+        assert_eq!("640x360".parse::<Size>().unwrap().0, PictureSize { width: 640, height: 360 });
+        for bad in ["640", "0x5", "5x0", "x", "-1x4", "1x99999", "1x2x3"] {
+            assert!(bad.parse::<Size>().is_err(), "{bad}");
+        }
+        assert_eq!("every=4".parse::<Every>(), Ok(Every(4)));
+        assert_eq!("off".parse::<Every>(), Ok(Every(0)));
+        for bad in ["every=0", "every=", "on", "4"] {
+            assert!(bad.parse::<Every>().is_err(), "{bad}");
+        }
+    }
+
+    #[test]
+    fn rig_files_refuse_unknown_keys_and_bad_values() {
+        let good = "processes = 3\nbind = \"127.0.0.1:0\"\nsize = \"64x48\"\ncull = \"boxes\"\nlod = 0.5\naudit = \"off\"";
+        let rig: Rig = toml::from_str(good).unwrap();
+        assert_eq!((rig.processes, rig.audit), (Some(Processes(3)), Some(Every(0))));
+        for bad in [
+            "processes = 2",
+            "sise = \"1x1\"",
+            "size = \"big\"",
+            "cull = \"zap\"",
+            "lod = -1.0",
+            "lod = nan",
+        ] {
+            assert!(toml::from_str::<Rig>(bad).is_err(), "{bad}");
+        }
+    }
+}

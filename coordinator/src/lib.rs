@@ -1,0 +1,10 @@
+//! Seats the nodes, paces the phases, moves the camera, writes the log.
+
+pub mod camera_path;
+pub mod config;
+pub mod launch;
+pub mod log;
+mod net;
+pub mod record;
+pub mod run;
+mod tally;

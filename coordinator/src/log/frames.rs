@@ -1,0 +1,234 @@
+//! One row a picture: what the phases of a run say about each frame.
+
+use crate::record::{PhaseRecord, RunRecord};
+use protocol::id::{FrameIndex, Seat};
+use protocol::schedule::{self, Role};
+use protocol::telemetry::{CullCounts, DrawCounts, Nanos, PhaseReport, WorkReport};
+use protocol::visible::entropy_bound_bits;
+use serde::Serialize;
+
+/// Bytes a TCP, IP and Ethernet header takes, and ids a packet holds, in paper 004, section 6.1.
+const PAPER_HEADER: f64 = 50.0;
+const PAPER_IDS_A_PACKET: f64 = 100.0;
+/// Bytes of the paper's camera.
+const PAPER_CAMERA: f64 = 72.0;
+
+/// Everything that varies by frame. Times in milliseconds on the coordinator's clock, sizes in bytes;
+/// empty where a frame was not measured that way.
+#[derive(Debug, Clone, PartialEq, Default, Serialize)]
+pub struct FrameRow {
+    /// The frame.
+    pub frame: u32,
+    /// Length of the phase that drew it, measuring not counted.
+    pub frame_ms: f64,
+    /// Audit, item buffer or picture file took time in its phase.
+    pub measured: bool,
+    /// From the broadcast of its camera to the end of its picture.
+    pub camera_to_picture_ms: f64,
+    /// Work of HC.
+    pub hc_ms: f64,
+    /// Work of OR.
+    pub or_ms: f64,
+    /// Work of RVG.
+    pub rvg_ms: f64,
+    /// From HC's end-of-frame message to its arrival at the display.
+    pub hc_to_rvg_ms: Option<f64>,
+    /// From HC's end-of-frame message to its arrival at the next OR.
+    pub hc_to_or_ms: Option<f64>,
+    /// Bytes on the socket from HC to OR.
+    pub hc_to_or_bytes: u64,
+    /// Bytes on the socket from HC to RVG.
+    pub hc_to_rvg_bytes: u64,
+    /// Bytes between coordinator and all nodes, both ways.
+    pub control_bytes: u64,
+    /// Bytes of the coded change of ids.
+    pub ids_delta: u32,
+    /// Bytes of the visible set as plain ids.
+    pub ids_full: u32,
+    /// 8n + nh/b + 3(72 + h), n the changed ids (paper 004, section 4.5).
+    pub paper_formula: f64,
+    /// log2 C(N, n) in bytes.
+    pub entropy_bound: f64,
+    /// Ids that changed.
+    pub changed: u32,
+    /// Hlods on the front.
+    pub front: u32,
+    /// Hlods on the front and in the frustum.
+    pub in_frustum: u32,
+    /// Boxes tested.
+    pub queries: u32,
+    /// Hlods found visible.
+    pub visible: u32,
+    /// Hlods with a visible pixel.
+    pub with_pixels: Option<u32>,
+    /// Source triangles under the hlods in the frustum.
+    pub source_triangles_in_frustum: u64,
+    /// Triangles drawn into the picture.
+    pub triangles_drawn: u64,
+    /// Triangles drawn as occluders.
+    pub triangles_occluders: u64,
+    /// Pixels in which the audit's two pictures differ.
+    pub differing_pixels: Option<u64>,
+    /// Blobs that were there when needed, all nodes.
+    pub io_hits: u64,
+    /// Blobs that had to be read, all nodes.
+    pub io_misses: u64,
+    /// Longest wait for them of any node.
+    pub io_stall_ms: f64,
+    /// Bytes read, all nodes.
+    pub io_bytes_read: u64,
+    /// Hash of the picture.
+    pub picture_hash: String,
+}
+
+/// Milliseconds of a span of nanoseconds.
+fn ms(span: i64) -> f64 {
+    span as f64 / 1e6
+}
+
+/// Looks into a record by role and frame.
+struct Lookup<'a>(&'a RunRecord);
+
+impl<'a> Lookup<'a> {
+    /// What `role` reported for `frame`: its seat, the phase, the report.
+    fn work(&self, role: Role, frame: u32) -> Option<(Seat, &'a PhaseRecord, &'a WorkReport)> {
+        let seat = schedule::seat_of(self.0.settings.schedule, role, FrameIndex(frame));
+        self.0.phases.iter().skip(frame as usize).take(3).find_map(|phase| {
+            let work = report_of(phase, seat)?.work.as_ref()?;
+            (work.role == role && work.frame.0 == frame).then_some((seat, phase, work))
+        })
+    }
+
+    /// A node's time on the coordinator's clock.
+    fn aligned(&self, seat: Seat, time: Nanos) -> i64 {
+        let offset =
+            self.0.nodes.iter().find(|node| node.seat == seat).map_or(0, |node| node.clock.offset);
+        time as i64 + offset
+    }
+
+    /// The phase before `phase`.
+    fn before(&self, phase: &PhaseRecord) -> Option<&'a PhaseRecord> {
+        self.0.phases.iter().find(|p| p.phase.next() == phase.phase)
+    }
+}
+
+fn report_of(phase: &PhaseRecord, seat: Seat) -> Option<&PhaseReport> {
+    phase.reports.iter().find(|(s, _)| *s == seat).map(|(_, report)| report)
+}
+
+/// Bytes `from` had sent to `to` when `phase` ended.
+fn sent(phase: Option<&PhaseRecord>, from: Seat, to: Seat) -> u64 {
+    let links =
+        phase.and_then(|phase| report_of(phase, from)).map_or(&[][..], |report| &report.sent);
+    links.iter().filter(|link| link.to == to).map(|link| link.bytes).sum()
+}
+
+/// Control bytes of all nodes and the coordinator when `phase` ended.
+fn control(phase: Option<&PhaseRecord>) -> u64 {
+    phase.map_or(0, |p| {
+        p.control_sent + p.reports.iter().map(|(_, report)| report.sent_control).sum::<u64>()
+    })
+}
+
+/// The rows of a run, in frame order. `hlods` is N of the entropy bound.
+pub fn rows(record: &RunRecord, hlods: u64) -> Vec<FrameRow> {
+    (0..record.settings.frames).filter_map(|frame| row(&Lookup(record), frame, hlods)).collect()
+}
+
+fn row(lookup: &Lookup<'_>, frame: u32, hlods: u64) -> Option<FrameRow> {
+    let (hc_seat, hc_phase, hc) = lookup.work(Role::HardwareCull, frame)?;
+    let (rvg_seat, rvg_phase, rvg) = lookup.work(Role::RenderVisibleGeometry, frame)?;
+    let (_, or_phase, or) = lookup.work(Role::OcclusionRepresentation, frame)?;
+    let cull = hc.cull.unwrap_or_default();
+    let draw = rvg.draw.unwrap_or_default();
+
+    let mut row = FrameRow { frame, ..FrameRow::default() };
+    fill_times(&mut row, lookup, (or_phase, or), (hc_seat, hc), (rvg_seat, rvg_phase, rvg));
+    fill_counts(&mut row, &cull, &draw, or.draw.as_ref(), hlods);
+    let before = lookup.before(hc_phase);
+    let bytes = |to: Seat| sent(Some(hc_phase), hc_seat, to) - sent(before, hc_seat, to);
+    for seat in schedule::receivers(lookup.0.settings.schedule, FrameIndex(frame)) {
+        if seat == rvg_seat {
+            row.hc_to_rvg_bytes = bytes(seat);
+        } else {
+            row.hc_to_or_bytes = bytes(seat);
+        }
+    }
+    row.control_bytes = control(Some(hc_phase)) - control(before);
+    for io in rvg_phase.reports.iter().map(|(_, report)| report.io) {
+        row.io_hits += io.hits;
+        row.io_misses += io.misses;
+        row.io_stall_ms = row.io_stall_ms.max(ms(io.stall_ns as i64));
+        row.io_bytes_read += io.bytes_read;
+    }
+    Some(row)
+}
+
+fn fill_times(
+    row: &mut FrameRow,
+    lookup: &Lookup<'_>,
+    (or_phase, or): (&PhaseRecord, &WorkReport),
+    (hc_seat, hc): (Seat, &WorkReport),
+    (rvg_seat, rvg_phase, rvg): (Seat, &PhaseRecord, &WorkReport),
+) {
+    let span = |work: &WorkReport| ms(work.finished as i64 - work.started as i64);
+    (row.hc_ms, row.or_ms, row.rvg_ms) = (span(hc), span(or), span(rvg));
+    // The camera of frame i goes out with phase i - 1, in which OR(i) works.
+    row.camera_to_picture_ms = ms(lookup.aligned(rvg_seat, rvg.finished) - or_phase.started as i64);
+
+    let draws = rvg_phase.reports.iter().filter_map(|(_, report)| report.work?.draw);
+    row.measured = draws.map(|draw| draw.measuring_ns).sum::<Nanos>() > 0;
+    let last_work = rvg_phase
+        .reports
+        .iter()
+        .filter_map(|(seat, report)| report.work.map(|work| lookup.aligned(*seat, work.finished)));
+    let ended = if row.measured { last_work.max().unwrap_or(0) } else { rvg_phase.ended as i64 };
+    row.frame_ms = ms(ended - rvg_phase.started as i64);
+
+    let Some(sent) = hc.visible_sent.map(|at| lookup.aligned(hc_seat, at)) else { return };
+    let arrival = |seat: Seat, work: &WorkReport| {
+        Some(ms(lookup.aligned(seat, work.visible_received?) - sent))
+    };
+    if rvg_seat != hc_seat {
+        row.hc_to_rvg_ms = arrival(rvg_seat, rvg);
+    }
+    if let Some((seat, _, next_or)) = lookup.work(Role::OcclusionRepresentation, row.frame + 1) {
+        row.hc_to_or_ms = arrival(seat, next_or);
+    }
+}
+
+fn fill_counts(
+    row: &mut FrameRow,
+    cull: &CullCounts,
+    draw: &DrawCounts,
+    or: Option<&DrawCounts>,
+    hlods: u64,
+) {
+    let changed = f64::from(cull.changed);
+    row.ids_delta = cull.ids_delta;
+    row.ids_full = cull.ids_full;
+    row.changed = cull.changed;
+    row.paper_formula = 8.0 * changed
+        + changed * PAPER_HEADER / PAPER_IDS_A_PACKET
+        + 3.0 * (PAPER_CAMERA + PAPER_HEADER);
+    row.entropy_bound = entropy_bound_bits(hlods, u64::from(cull.changed)) / 8.0;
+    row.front = cull.front;
+    row.in_frustum = cull.in_frustum;
+    row.queries = cull.queries;
+    row.visible = cull.visible;
+    row.with_pixels = draw.hlods_with_pixels;
+    row.source_triangles_in_frustum = cull.source_triangles_in_frustum;
+    row.triangles_drawn = draw.triangles;
+    row.triangles_occluders = or.map_or(0, |or| or.triangles);
+    row.differing_pixels = draw.audit.map(|audit| audit.differing_pixels);
+    row.picture_hash = draw.picture_hash.map_or(String::new(), |hash| format!("{hash:016x}"));
+}
+
+/// The rows as CSV with a header, named as in [`FrameRow`].
+pub fn csv(rows: &[FrameRow]) -> Vec<u8> {
+    let mut writer = csv::Writer::from_writer(Vec::new());
+    for row in rows {
+        writer.serialize(row).expect("a row holds only plain values");
+    }
+    writer.into_inner().expect("a vector takes every write")
+}

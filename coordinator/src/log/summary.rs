@@ -1,0 +1,333 @@
+//! `summary.json`: the figures of a run, keys fixed.
+
+use super::SceneFacts;
+use super::frames::FrameRow;
+use super::stats::{Stats, mean};
+use crate::record::RunRecord;
+use protocol::settings::{Cull, PictureSize, Schedule};
+use serde::Serialize;
+
+/// The scene.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Scene {
+    /// Where the scene file lies.
+    pub path: String,
+    /// Hlods of the hierarchy.
+    pub hlods: u64,
+    /// Triangles of the source.
+    pub triangles: u64,
+    /// Objects of the source.
+    pub objects: u64,
+    /// Digest of the file.
+    pub digest: String,
+}
+
+/// The renderer; where seats differ, all are named.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Backend {
+    /// `gpu` or `cpu`.
+    pub name: String,
+    /// Adapter and driver.
+    pub driver: String,
+}
+
+/// Milliseconds by role and way.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Latency {
+    /// From the broadcast of a camera to its picture.
+    pub camera_to_picture: Stats,
+    /// HC's work.
+    pub hc: Stats,
+    /// OR's work.
+    pub or: Stats,
+    /// RVG's work.
+    pub rvg: Stats,
+    /// HC's end-of-frame message to the display.
+    pub hc_to_rvg: Stats,
+    /// HC's end-of-frame message to the next OR.
+    pub hc_to_or: Stats,
+}
+
+/// Bytes a frame.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Bandwidth {
+    /// On the socket.
+    pub hc_to_or: Stats,
+    /// On the socket.
+    pub hc_to_rvg: Stats,
+    /// On the sockets, both ways, all nodes.
+    pub control: Stats,
+    /// Coded change of ids, mean.
+    pub ids_delta: f64,
+    /// Plain 4-byte ids, mean.
+    pub ids_full: f64,
+    /// Paper 004, section 4.5, mean.
+    pub paper_formula: f64,
+    /// log2 C(N, k) over the changed ids, mean.
+    pub entropy_bound: f64,
+}
+
+/// Mean counts a frame.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Culling {
+    /// Hlods on the front.
+    pub front: f64,
+    /// Of those, in the frustum.
+    pub in_frustum: f64,
+    /// Boxes tested.
+    pub queries: f64,
+    /// Found visible.
+    pub visible: f64,
+    /// Mean of (hlods drawn / hlods with a visible pixel) over the frames with an item buffer; null
+    /// where there was none.
+    pub efficiency: Option<f64>,
+    /// Frames with an item buffer.
+    pub efficiency_frames: usize,
+}
+
+/// Triangles a frame.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Triangles {
+    /// Drawn into the picture.
+    pub drawn: Stats,
+    /// Drawn as occluders.
+    pub occluders: Stats,
+    /// Of the source, under the hlods in the frustum.
+    pub source_in_frustum: Stats,
+}
+
+/// What the audit found.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Audit {
+    /// Frames audited.
+    pub frames: usize,
+    /// Of those, with a differing pixel.
+    pub differing_frames: usize,
+    /// Pixels whose colour or depth bits differ.
+    pub differing_pixels: u64,
+}
+
+/// Geometry loaded on demand, all nodes.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Io {
+    /// There when needed.
+    pub hits: u64,
+    /// Read when needed.
+    pub misses: u64,
+    /// Sum over frames of the longest wait of any node.
+    pub stall_ms: f64,
+    /// Bytes read.
+    pub bytes_read: u64,
+    /// Read before needed.
+    pub prefetched: u64,
+    /// Of those, needed later.
+    pub prefetched_used: u64,
+}
+
+/// Bytes by process, in the order of `pids`.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Memory {
+    /// The cap the run was given; null without one.
+    pub cap: Option<u64>,
+    /// Geometry held for the backend.
+    pub peak_resident: Vec<u64>,
+    /// Resident set size.
+    pub peak_rss: Vec<u64>,
+}
+
+/// A node's clock against the coordinator's, milliseconds.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Clock {
+    /// The node's seat.
+    pub seat: u8,
+    /// What is added to its times.
+    pub offset_ms: f64,
+    /// Greatest error of that.
+    pub error_ms: f64,
+    /// Median round trip of the pings.
+    pub round_trip_ms: f64,
+}
+
+/// All of it.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Summary {
+    /// The scene.
+    pub scene: Scene,
+    /// The renderer.
+    pub backend: Backend,
+    /// Picture size.
+    pub size: PictureSize,
+    /// 1 or 3.
+    pub processes: u32,
+    /// Schedule.
+    pub schedule: Schedule,
+    /// How hidden hlods were found.
+    pub cull: Cull,
+    /// Pixel error asked for.
+    pub lod_px: f64,
+    /// Pictures.
+    pub frames: usize,
+    /// Length of a phase; of the frames without measuring work, if there are any.
+    pub frame_ms: Stats,
+    /// Milliseconds by role and way.
+    pub latency_ms: Latency,
+    /// Bytes a frame.
+    pub bandwidth: Bandwidth,
+    /// Mean counts a frame.
+    pub culling: Culling,
+    /// Triangles a frame.
+    pub triangles: Triangles,
+    /// What the audit found.
+    pub audit: Audit,
+    /// Geometry loaded.
+    pub io: Io,
+    /// Bytes by process.
+    pub memory: Memory,
+    /// Clocks by seat.
+    pub clocks: Vec<Clock>,
+    /// Processes that rendered.
+    pub pids: Vec<u32>,
+}
+
+/// The figures of a run from its rows.
+pub fn summarise(record: &RunRecord, scene: &SceneFacts, rows: &[FrameRow]) -> Summary {
+    let stats = |figure: fn(&FrameRow) -> f64| Stats::of(rows.iter().map(figure));
+    let average = |figure: fn(&FrameRow) -> f64| mean(rows.iter().map(figure));
+    // Pictures of the first frames also load their geometry; they count like any other.
+    let unmeasured = || rows.iter().filter(|row| !row.measured);
+    let frame_ms = match unmeasured().count() {
+        0 => stats(|row| row.frame_ms),
+        _ => Stats::of(unmeasured().map(|row| row.frame_ms)),
+    };
+    Summary {
+        scene: Scene {
+            path: scene.path.clone(),
+            hlods: scene.hlods,
+            triangles: scene.triangles,
+            objects: scene.objects,
+            digest: scene.digest.clone(),
+        },
+        backend: Backend {
+            name: joined(record.nodes.iter().map(|node| node.backend.name.as_str())),
+            driver: joined(record.nodes.iter().map(|node| node.backend.driver.as_str())),
+        },
+        size: record.settings.size,
+        processes: record.processes,
+        schedule: record.settings.schedule,
+        cull: record.settings.cull,
+        lod_px: record.settings.lod_px,
+        frames: rows.len(),
+        frame_ms,
+        latency_ms: Latency {
+            camera_to_picture: stats(|row| row.camera_to_picture_ms),
+            hc: stats(|row| row.hc_ms),
+            or: stats(|row| row.or_ms),
+            rvg: stats(|row| row.rvg_ms),
+            hc_to_rvg: Stats::of(rows.iter().filter_map(|row| row.hc_to_rvg_ms)),
+            hc_to_or: Stats::of(rows.iter().filter_map(|row| row.hc_to_or_ms)),
+        },
+        bandwidth: Bandwidth {
+            hc_to_or: stats(|row| row.hc_to_or_bytes as f64),
+            hc_to_rvg: stats(|row| row.hc_to_rvg_bytes as f64),
+            control: stats(|row| row.control_bytes as f64),
+            ids_delta: average(|row| f64::from(row.ids_delta)),
+            ids_full: average(|row| f64::from(row.ids_full)),
+            paper_formula: average(|row| row.paper_formula),
+            entropy_bound: average(|row| row.entropy_bound),
+        },
+        culling: culling(rows),
+        triangles: Triangles {
+            drawn: stats(|row| row.triangles_drawn as f64),
+            occluders: stats(|row| row.triangles_occluders as f64),
+            source_in_frustum: stats(|row| row.source_triangles_in_frustum as f64),
+        },
+        audit: audit(rows),
+        io: Io {
+            hits: rows.iter().map(|row| row.io_hits).sum(),
+            misses: rows.iter().map(|row| row.io_misses).sum(),
+            stall_ms: rows.iter().map(|row| row.io_stall_ms).sum(),
+            bytes_read: rows.iter().map(|row| row.io_bytes_read).sum(),
+            prefetched: 0,
+            prefetched_used: 0,
+        },
+        memory: memory(record),
+        clocks: clocks(record),
+        pids: pids(record),
+    }
+}
+
+fn culling(rows: &[FrameRow]) -> Culling {
+    let ratios: Vec<f64> = rows
+        .iter()
+        .filter_map(|row| {
+            Some(f64::from(row.visible) / f64::from(row.with_pixels.filter(|&seen| seen > 0)?))
+        })
+        .collect();
+    let average =
+        |figure: fn(&FrameRow) -> u32| mean(rows.iter().map(|row| f64::from(figure(row))));
+    Culling {
+        front: average(|row| row.front),
+        in_frustum: average(|row| row.in_frustum),
+        queries: average(|row| row.queries),
+        visible: average(|row| row.visible),
+        efficiency: (!ratios.is_empty()).then(|| mean(ratios.iter().copied())),
+        efficiency_frames: ratios.len(),
+    }
+}
+
+fn audit(rows: &[FrameRow]) -> Audit {
+    let audited: Vec<u64> = rows.iter().filter_map(|row| row.differing_pixels).collect();
+    Audit {
+        frames: audited.len(),
+        differing_frames: audited.iter().filter(|&&pixels| pixels > 0).count(),
+        differing_pixels: audited.iter().sum(),
+    }
+}
+
+fn memory(record: &RunRecord) -> Memory {
+    let peak = |figure: fn(&protocol::telemetry::PhaseReport) -> u64| {
+        let of_seat = |seat| {
+            let reports = record.phases.iter().flat_map(|phase| &phase.reports);
+            reports.filter(|(s, _)| *s == seat).map(|(_, report)| figure(report)).max().unwrap_or(0)
+        };
+        let by_seat: Vec<u64> = record.nodes.iter().map(|node| of_seat(node.seat)).collect();
+        by_seat
+    };
+    let (resident, rss) = (peak(|report| report.resident_bytes), peak(|report| report.peak_rss));
+    match record.processes {
+        // The three seats of one process share its resident set but hold geometry each.
+        1 => Memory {
+            cap: None,
+            peak_resident: vec![resident.iter().sum()],
+            peak_rss: rss.into_iter().max().into_iter().collect(),
+        },
+        _ => Memory { cap: None, peak_resident: resident, peak_rss: rss },
+    }
+}
+
+fn clocks(record: &RunRecord) -> Vec<Clock> {
+    let clock = |node: &crate::record::NodeRecord| Clock {
+        seat: node.seat.0,
+        offset_ms: node.clock.offset as f64 / 1e6,
+        error_ms: node.clock.error as f64 / 1e6,
+        round_trip_ms: node.clock.round_trip_p50 as f64 / 1e6,
+    };
+    record.nodes.iter().map(clock).collect()
+}
+
+fn pids(record: &RunRecord) -> Vec<u32> {
+    let mut pids: Vec<u32> = record.nodes.iter().map(|node| node.pid).collect();
+    pids.dedup();
+    pids
+}
+
+/// Distinct words in the order they first come, joined by `, `.
+fn joined<'a>(words: impl Iterator<Item = &'a str>) -> String {
+    let mut distinct: Vec<&str> = Vec::new();
+    for word in words {
+        if !distinct.contains(&word) {
+            distinct.push(word);
+        }
+    }
+    distinct.join(", ")
+}

@@ -1,0 +1,96 @@
+//! The closing table a person reads.
+
+use super::stats::Stats;
+use super::summary::Summary;
+use std::fmt::Write;
+
+/// The figures of a run as aligned text.
+pub fn table(summary: &Summary) -> String {
+    let mut out = String::new();
+    let s = summary;
+    let mut line = |name: &str, text: String| {
+        let _ = writeln!(out, "{name:<22}{text}");
+    };
+    line(
+        "scene",
+        format!(
+            "{} triangles, {} objects, {} hlods",
+            s.scene.triangles, s.scene.objects, s.scene.hlods
+        ),
+    );
+    line("backend", format!("{} ({})", s.backend.name, s.backend.driver));
+    let run = format!(
+        "{} frames of {}x{}, {} process{}",
+        s.frames,
+        s.size.width,
+        s.size.height,
+        s.processes,
+        if s.processes == 1 { "" } else { "es" }
+    );
+    line(
+        "run",
+        format!("{run}, schedule {:?}, cull {:?}, lod {} px", s.schedule, s.cull, s.lod_px)
+            .to_lowercase(),
+    );
+    line("", format!("{:>10}{:>10}{:>10}{:>10}{:>10}", "p50", "p90", "p99", "max", "mean"));
+    let mut stats = |name: &str, v: &Stats, digits: usize| {
+        let cells: String = [v.p50, v.p90, v.p99, v.max, v.mean]
+            .iter()
+            .map(|value| format!("{value:>10.digits$}"))
+            .collect();
+        line(name, cells);
+    };
+    stats("frame ms", &s.frame_ms, 2);
+    stats("camera to picture ms", &s.latency_ms.camera_to_picture, 2);
+    stats("OR ms", &s.latency_ms.or, 2);
+    stats("HC ms", &s.latency_ms.hc, 2);
+    stats("RVG ms", &s.latency_ms.rvg, 2);
+    stats("HC to RVG ms", &s.latency_ms.hc_to_rvg, 3);
+    stats("HC to OR ms", &s.latency_ms.hc_to_or, 3);
+    stats("HC to OR bytes", &s.bandwidth.hc_to_or, 0);
+    stats("HC to RVG bytes", &s.bandwidth.hc_to_rvg, 0);
+    stats("control bytes", &s.bandwidth.control, 0);
+    stats("triangles drawn", &s.triangles.drawn, 0);
+    stats("source in frustum", &s.triangles.source_in_frustum, 0);
+    let c = &s.culling;
+    let efficiency = c.efficiency.map_or("not measured".to_owned(), |e| format!("{e:.2}"));
+    line(
+        "hlods a frame",
+        format!(
+            "front {:.0}, in frustum {:.0}, tested {:.0}, visible {:.0}; drawn / with a pixel {efficiency}",
+            c.front, c.in_frustum, c.queries, c.visible
+        ),
+    );
+    let b = &s.bandwidth;
+    line(
+        "ids, bytes a frame",
+        format!(
+            "change {:.0} (bound {:.0}), full {:.0}, paper's formula {:.0}",
+            b.ids_delta, b.entropy_bound, b.ids_full, b.paper_formula
+        ),
+    );
+    line(
+        "audit",
+        match s.audit.frames {
+            0 => "off".to_owned(),
+            frames => format!("{} differing pixels in {frames} frames", s.audit.differing_pixels),
+        },
+    );
+    let clocks: Vec<String> = s
+        .clocks
+        .iter()
+        .map(|c| format!("seat {} +-{:.3} (round trip {:.3})", c.seat, c.error_ms, c.round_trip_ms))
+        .collect();
+    line("clocks ms", clocks.join(", "));
+    let mib = |bytes: &u64| format!("{:.0}", *bytes as f64 / f64::from(1 << 20));
+    let by = |values: &[u64]| values.iter().map(mib).collect::<Vec<_>>().join(" / ");
+    line(
+        "memory MiB",
+        format!(
+            "peak {} of which geometry {}",
+            by(&s.memory.peak_rss),
+            by(&s.memory.peak_resident)
+        ),
+    );
+    out
+}

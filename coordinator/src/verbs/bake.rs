@@ -1,0 +1,54 @@
+//! `bake`: source scene to scene file.
+
+use super::exit::{CONFIG, Failure, OTHER, OrExit};
+use ::bake::Options;
+use ::bake::progress::Bars;
+use std::path::{Path, PathBuf};
+
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    /// The glTF or GLB file
+    #[arg(required = true, num_args = 1, value_name = "INPUT")]
+    inputs: Vec<PathBuf>,
+    /// The scene file to write
+    #[arg(short, long, value_name = "SCENE.occ")]
+    output: PathBuf,
+    /// Bake settings (TOML)
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// Threads [default: one a core]
+    #[arg(long, value_name = "N")]
+    jobs: Option<usize>,
+    /// Seed of everything random
+    #[arg(long)]
+    seed: Option<u64>,
+    /// Print the summary as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+pub(crate) fn run(args: Args) -> Result<(), Failure> {
+    let mut options = match &args.config {
+        Some(path) => Options::from_file(path).or_exit(CONFIG)?,
+        None => Options::default(),
+    };
+    options.jobs = args.jobs.unwrap_or(options.jobs);
+    options.seed = args.seed.unwrap_or(options.seed);
+    let summary = bake_file(&args.inputs, &args.output, &options)?;
+    if args.json {
+        println!("{}", serde_json::to_string_pretty(&summary).or_exit(OTHER)?);
+    } else {
+        print!("{summary}");
+    }
+    Ok(())
+}
+
+/// Bakes with progress bars on a terminal.
+pub(super) fn bake_file(
+    inputs: &[PathBuf],
+    output: &Path,
+    options: &Options,
+) -> Result<::bake::Summary, Failure> {
+    ::bake::bake(inputs, output, options, &Bars::default())
+        .map_err(|error| Failure { code: error.exit_code(), error: error.into() })
+}

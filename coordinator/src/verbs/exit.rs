@@ -1,0 +1,55 @@
+//! Exit codes, after sysexits.h.
+
+use protocol::message::FailureKind;
+
+/// Everything not named below.
+pub(crate) const OTHER: u8 = 1;
+/// The command line is wrong.
+pub(crate) const USAGE: u8 = 2;
+/// An input is damaged, foreign or senseless.
+pub(crate) const BAD_DATA: u8 = 65;
+/// An input is not there.
+pub(crate) const NO_INPUT: u8 = 66;
+/// A port, an adapter or a peer is not to be had.
+pub(crate) const UNAVAILABLE: u8 = 69;
+/// Our bug.
+pub(crate) const INTERNAL: u8 = 70;
+/// Reading or writing failed.
+pub(crate) const IO: u8 = 74;
+/// A peer broke the protocol.
+pub(crate) const PROTOCOL: u8 = 76;
+/// A peer without the right, or with another scene.
+pub(crate) const NOT_ALLOWED: u8 = 77;
+/// A configuration file is wrong.
+pub(crate) const CONFIG: u8 = 78;
+
+/// An error and the code the program leaves with.
+#[derive(Debug)]
+pub(crate) struct Failure {
+    pub(crate) code: u8,
+    pub(crate) error: anyhow::Error,
+}
+
+/// Puts a code on an error.
+pub(crate) trait OrExit<T> {
+    fn or_exit(self, code: u8) -> Result<T, Failure>;
+}
+
+impl<T, E: Into<anyhow::Error>> OrExit<T> for Result<T, E> {
+    fn or_exit(self, code: u8) -> Result<T, Failure> {
+        self.map_err(|error| Failure { code, error: error.into() })
+    }
+}
+
+/// The code of a run's failure.
+pub(crate) fn code_of(kind: FailureKind) -> u8 {
+    match kind {
+        FailureKind::BadData => BAD_DATA,
+        FailureKind::NoInput => NO_INPUT,
+        FailureKind::Unavailable => UNAVAILABLE,
+        FailureKind::Internal => INTERNAL,
+        FailureKind::Io => IO,
+        FailureKind::Protocol => PROTOCOL,
+        FailureKind::NotAllowed => NOT_ALLOWED,
+    }
+}

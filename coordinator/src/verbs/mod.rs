@@ -1,0 +1,106 @@
+//! What a user types. One file a verb; each turns arguments into calls and errors into exit codes.
+
+mod bake;
+mod demo;
+mod doctor;
+mod exit;
+mod inspect;
+mod live;
+mod node;
+mod path;
+mod replay;
+mod scene_file;
+mod synth;
+mod verify;
+
+use clap::{ArgAction, Parser, Subcommand};
+use exit::Failure;
+use std::io::IsTerminal;
+use std::process::ExitCode;
+
+/// A distributed renderer for massive static scenes.
+#[derive(Debug, Parser)]
+#[command(name = "occluster", version, about, propagate_version = true)]
+struct Cli {
+    #[command(subcommand)]
+    verb: Verb,
+    /// Say more on stderr (twice: everything)
+    #[arg(short, long, global = true, action = ArgAction::Count)]
+    verbose: u8,
+    /// Say only errors on stderr
+    #[arg(short, long, global = true, conflicts_with = "verbose")]
+    quiet: bool,
+}
+
+#[derive(Debug, Subcommand)]
+enum Verb {
+    /// The main job with nothing to prepare: a plant, baked, three processes, a replayed walk, a report
+    Demo(demo::Args),
+    /// Write a generated scene as GLB
+    Synth(synth::Args),
+    /// Turn a glTF or GLB file into a scene file
+    Bake(bake::Args),
+    /// Say what is in a scene file
+    Inspect(inspect::Args),
+    /// Check every checksum and every invariant of a scene file
+    Verify(verify::Args),
+    /// Make a camera path through a scene
+    Path(path::Args),
+    /// Show a scene along a camera path with three processes and log latency and bandwidth
+    Replay(replay::Args),
+    /// One render process; started by replay
+    Node(node::Args),
+    /// Say what this machine can render with and what is missing
+    Doctor(doctor::Args),
+}
+
+pub(crate) fn main() -> ExitCode {
+    let cli = match Cli::try_parse() {
+        Ok(cli) => cli,
+        Err(error) => {
+            let code = if error.use_stderr() { exit::USAGE } else { 0 };
+            // A closed pipe is no reason to fail while saying how the program is used.
+            drop(error.print());
+            return ExitCode::from(code);
+        }
+    };
+    start_log(cli.verbose, cli.quiet);
+    let done = match cli.verb {
+        Verb::Demo(args) => demo::run(args),
+        Verb::Synth(args) => synth::run(args),
+        Verb::Bake(args) => bake::run(args),
+        Verb::Inspect(args) => inspect::run(args),
+        Verb::Verify(args) => verify::run(args),
+        Verb::Path(args) => path::run(args),
+        Verb::Replay(args) => replay::run(args),
+        Verb::Node(args) => node::run(args),
+        Verb::Doctor(args) => doctor::run(args),
+    };
+    match done {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(Failure { code, error }) => {
+            eprintln!("occluster: {error:#}");
+            ExitCode::from(code)
+        }
+    }
+}
+
+/// Logs go to stderr; `RUST_LOG` goes before `-v` and `-q`, `NO_COLOR` is honoured.
+fn start_log(verbose: u8, quiet: bool) {
+    let level = match (quiet, verbose) {
+        (true, _) => "error",
+        (false, 0) => "warn",
+        (false, 1) => "info,wgpu_core=warn,wgpu_hal=warn,naga=warn",
+        (false, _) => "debug",
+    };
+    let filter = tracing_subscriber::EnvFilter::try_from_default_env()
+        .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new(level));
+    let color = std::io::stderr().is_terminal()
+        && std::env::var_os("NO_COLOR").is_none_or(|value| value.is_empty());
+    tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_writer(std::io::stderr)
+        .with_ansi(color)
+        .with_target(false)
+        .init();
+}

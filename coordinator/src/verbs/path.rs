@@ -1,0 +1,57 @@
+//! `path`: a camera path through a scene.
+
+use super::exit::{BAD_DATA, Failure, IO, OrExit};
+use super::scene_file;
+use anyhow::Context;
+use coordinator::camera_path::{PathKind, Pose, generate, write_csv};
+use scene::store::Store;
+use std::path::PathBuf;
+
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    /// The scene file
+    #[arg(value_name = "SCENE.occ")]
+    scene: PathBuf,
+    /// The path to write
+    #[arg(short, long, value_name = "PATH.csv")]
+    output: PathBuf,
+    /// walk: through free space; orbit: around; zoom: from far into the densest part
+    #[arg(long, default_value = "walk", value_parser = kind)]
+    kind: PathKind,
+    /// Poses
+    #[arg(long, default_value_t = 120, value_parser = clap::value_parser!(u32).range(1..))]
+    frames: u32,
+    /// Seed of the route
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+}
+
+fn kind(text: &str) -> Result<PathKind, String> {
+    match text {
+        "walk" => Ok(PathKind::Walk),
+        "orbit" => Ok(PathKind::Orbit),
+        "zoom" => Ok(PathKind::Zoom),
+        _ => Err("give walk, orbit or zoom".to_owned()),
+    }
+}
+
+pub(crate) fn run(args: Args) -> Result<(), Failure> {
+    let store = scene_file::open(&args.scene)?;
+    let poses = poses(&store, args.kind, args.frames, args.seed)?;
+    write_csv(&args.output, &poses).or_exit(IO)?;
+    println!("{}: {} poses", args.output.display(), poses.len());
+    Ok(())
+}
+
+/// Poses of a generated path.
+pub(super) fn poses(
+    store: &Store,
+    kind: PathKind,
+    frames: u32,
+    seed: u64,
+) -> Result<Vec<Pose>, Failure> {
+    let read = |blob| store.blob(blob);
+    generate(kind, store.skeleton(), read, frames, seed)
+        .with_context(|| format!("no path through {}", store.path().display()))
+        .or_exit(BAD_DATA)
+}

@@ -1,0 +1,217 @@
+//! `replay`: a run along a camera path, and its log.
+
+use super::exit::{BAD_DATA, CONFIG, Failure, IO, OTHER, OrExit, USAGE, code_of};
+use super::live::LiveLine;
+use super::{path, scene_file};
+use anyhow::{Context, anyhow};
+use coordinator::camera_path::{self, PathKind, Pose};
+use coordinator::config::{Every, Pictures, PixelError, Processes, Rig, Size};
+use coordinator::log::summary::Summary;
+use coordinator::log::table::table;
+use coordinator::log::{SceneFacts, write_all};
+use coordinator::run::{self as rig_run, RunError, RunPlan};
+use protocol::settings::{BackendChoice, Cull, PictureSize, RunSettings, Schedule};
+use scene::store::Store;
+use std::net::SocketAddr;
+use std::path::{Path, PathBuf};
+
+/// Frames of the walk that is made where no path is given.
+const DEFAULT_FRAMES: u32 = 120;
+/// An item buffer is drawn for every n-th frame, to know how many hlods really have a visible pixel.
+const ITEMS_EVERY: u32 = 8;
+
+#[derive(Debug, Clone, Default, clap::Args)]
+pub(crate) struct Args {
+    /// The scene file
+    #[arg(value_name = "SCENE.occ")]
+    pub(super) scene: PathBuf,
+    /// Camera path (CSV) [default: a walk]
+    #[arg(long, value_name = "PATH.csv")]
+    pub(super) path: Option<PathBuf>,
+    /// Rig file (TOML)
+    #[arg(long, value_name = "RIG.toml", env = "OCCLUSTER_RIG")]
+    pub(super) rig: Option<PathBuf>,
+    /// Folder for summary, frames, trace, report and pictures
+    #[arg(long, value_name = "DIR", env = "OCCLUSTER_OUT")]
+    pub(super) out: Option<PathBuf>,
+    #[command(flatten)]
+    pub(super) options: RunOptions,
+    /// Print the summary as JSON
+    #[arg(long)]
+    pub(super) json: bool,
+}
+
+/// What a run can be told; unset here, the rig file and then the default decide.
+#[derive(Debug, Clone, Default, clap::Args)]
+pub(crate) struct RunOptions {
+    /// auto, gpu or cpu
+    #[arg(long, env = "OCCLUSTER_BACKEND", value_parser = word::<BackendChoice>)]
+    pub(super) backend: Option<BackendChoice>,
+    /// Picture size
+    #[arg(long, value_name = "WxH", env = "OCCLUSTER_SIZE")]
+    pub(super) size: Option<Size>,
+    /// queries, boxes or off
+    #[arg(long, env = "OCCLUSTER_CULL", value_parser = word::<Cull>)]
+    pub(super) cull: Option<Cull>,
+    /// Largest error of what is drawn, in pixels; 0 draws the original geometry
+    #[arg(long, value_name = "PX", env = "OCCLUSTER_LOD")]
+    pub(super) lod: Option<PixelError>,
+    /// 1 or 3
+    #[arg(long, env = "OCCLUSTER_PROCESSES")]
+    pub(super) processes: Option<Processes>,
+    /// switch or rotate
+    #[arg(long, env = "OCCLUSTER_SCHEDULE", value_parser = word::<Schedule>)]
+    pub(super) schedule: Option<Schedule>,
+    /// Compare pictures with and without culling: every=N or off
+    #[arg(long, env = "OCCLUSTER_AUDIT")]
+    pub(super) audit: Option<Every>,
+    /// png or off
+    #[arg(long, env = "OCCLUSTER_PICTURES", value_parser = word::<Pictures>)]
+    pub(super) pictures: Option<Pictures>,
+    /// Show only the first N poses
+    #[arg(long, value_name = "N", env = "OCCLUSTER_FRAMES", value_parser = clap::value_parser!(u32).range(1..))]
+    pub(super) frames: Option<u32>,
+}
+
+/// Reads a word as the settings spell it.
+pub(super) fn word<T: serde::de::DeserializeOwned>(text: &str) -> Result<T, String> {
+    serde_json::from_value(text.into()).map_err(|error| error.to_string())
+}
+
+pub(crate) fn run(args: Args) -> Result<(), Failure> {
+    let json = args.json;
+    let (summary, out) = replay(args)?;
+    if json {
+        println!("{}", serde_json::to_string_pretty(&summary).or_exit(OTHER)?);
+    } else {
+        print!("{}", table(&summary));
+        if let Some(out) = out {
+            println!("{:<22}{}", "report", out.join("report.html").display());
+        }
+    }
+    Ok(())
+}
+
+/// Runs, writes the log where a folder was named, and returns the figures and that folder.
+pub(super) fn replay(args: Args) -> Result<(Summary, Option<PathBuf>), Failure> {
+    let rig = args.rig.as_deref().map(Rig::read).transpose().or_exit(CONFIG)?.unwrap_or_default();
+    let store = scene_file::open(&args.scene)?;
+    let mut poses = match &args.path {
+        Some(path) => read_path(path)?,
+        None => {
+            path::poses(&store, PathKind::Walk, args.options.frames.unwrap_or(DEFAULT_FRAMES), 1)?
+        }
+    };
+    poses.truncate(args.options.frames.map_or(usize::MAX, |frames| frames as usize));
+
+    if let Some(out) = &args.out {
+        forget_former_run(out)?;
+    }
+    let near = camera_path::near_plane(store.skeleton().diagonal());
+    let cameras = camera_path::cameras(&poses, near).or_exit(BAD_DATA)?;
+    let settings = settings(&args, &rig, &store, cameras.len())?;
+    let frames = settings.frames;
+    let plan = RunPlan { settings, cameras, rig: rig_of(&args, &rig)? };
+    let mut live = LiveLine::new(frames);
+    let record = rig_run::run(plan, &mut |phase| live.show(phase));
+    live.clear();
+    let record = record.map_err(|error| {
+        let code = match &error {
+            RunError::Interrupted => OTHER,
+            RunError::Failed { kind, .. } => code_of(*kind),
+        };
+        Failure { code, error: error.into() }
+    })?;
+
+    let facts = facts(&args.scene, &store);
+    match &args.out {
+        Some(out) => Ok((write_all(&record, &facts, out).or_exit(IO)?, args.out)),
+        None => Ok((coordinator::log::figures(&record, &facts), None)),
+    }
+}
+
+/// Where the nodes of this run live.
+fn rig_of(args: &Args, rig: &Rig) -> Result<rig_run::Rig, Failure> {
+    let processes = args.options.processes.or(rig.processes).map_or(3, |processes| processes.0);
+    if processes == 1 {
+        let threads = |controls, token| {
+            let failed = |error: ::node::NodeError| RunError::Failed {
+                kind: error.kind,
+                reason: error.reason,
+            };
+            ::node::run_in_process(controls, token).map_err(failed)
+        };
+        return Ok(rig_run::Rig::Threads(Box::new(threads)));
+    }
+    let program =
+        std::env::current_exe().context("cannot find the program's own file").or_exit(OTHER)?;
+    let bind = rig.bind.unwrap_or(SocketAddr::from(([127, 0, 0, 1], 0)));
+    Ok(rig_run::Rig::Children { program, bind })
+}
+
+fn read_path(path: &Path) -> Result<Vec<Pose>, Failure> {
+    camera_path::read_csv(path)
+        .map_err(|error| Failure { code: error.exit_code(), error: error.into() })
+}
+
+fn settings(args: &Args, rig: &Rig, store: &Store, frames: usize) -> Result<RunSettings, Failure> {
+    let o = &args.options;
+    let pictures = o.pictures.or(rig.pictures).unwrap_or(Pictures::Off);
+    let pictures_dir = match (pictures, &args.out) {
+        (Pictures::Off, _) => None,
+        (Pictures::Png, None) => {
+            return Err(anyhow!("--pictures png needs a folder: add --out DIR")).or_exit(USAGE);
+        }
+        (Pictures::Png, Some(out)) => Some(out.join("frames")),
+    };
+    for dir in args.out.iter().chain(&pictures_dir) {
+        let name = || format!("cannot make the folder {}", dir.display());
+        std::fs::create_dir_all(dir).with_context(name).or_exit(IO)?;
+    }
+    let absolute = |path: &Path| -> Result<String, Failure> {
+        let name = || format!("cannot resolve {}", path.display());
+        let path = std::fs::canonicalize(path).with_context(name).or_exit(IO)?;
+        Ok(path.to_string_lossy().into_owned())
+    };
+    Ok(RunSettings {
+        scene_path: absolute(&args.scene)?,
+        scene_digest: store.digest(),
+        size: o.size.or(rig.size).map_or(PictureSize { width: 640, height: 360 }, |size| size.0),
+        lod_px: o.lod.or(rig.lod).map_or(1.0, |lod| lod.0),
+        cull: o.cull.or(rig.cull).unwrap_or_default(),
+        schedule: o.schedule.or(rig.schedule).unwrap_or_default(),
+        backend: o.backend.or(rig.backend).unwrap_or_default(),
+        frames: frames as u32,
+        audit_every: o.audit.or(rig.audit).map_or(0, |every| every.0),
+        items_every: ITEMS_EVERY,
+        pictures_dir: pictures_dir.as_deref().map(absolute).transpose()?,
+    })
+}
+
+/// A folder used again must not show an earlier run's pictures or figures as this one's.
+fn forget_former_run(out: &Path) -> Result<(), Failure> {
+    let pictures = std::fs::read_dir(out.join("frames"))
+        .into_iter()
+        .flatten()
+        .flatten()
+        .map(|entry| entry.path());
+    let logs =
+        ["summary.json", "frames.csv", "trace.json", "report.html"].map(|name| out.join(name));
+    let former = pictures.filter(|path| path.extension().is_some_and(|e| e == "png")).chain(logs);
+    for path in former.filter(|path| path.exists()) {
+        let name = || format!("cannot remove {} of an earlier run", path.display());
+        std::fs::remove_file(&path).with_context(name).or_exit(IO)?;
+    }
+    Ok(())
+}
+
+fn facts(path: &Path, store: &Store) -> SceneFacts {
+    let skeleton = store.skeleton();
+    SceneFacts {
+        path: path.display().to_string(),
+        hlods: skeleton.hlods.len() as u64,
+        triangles: skeleton.info.source_triangles,
+        objects: u64::from(skeleton.info.objects),
+        digest: store.digest().iter().map(|byte| format!("{byte:02x}")).collect(),
+    }
+}

@@ -1,0 +1,289 @@
+//! Typed, bounds-checked reading of accessors (glTF 2.0, section 3.6.2).
+//!
+//! An [`Accessor`] is checked once, against the bytes, when it is opened; after that every element
+//! below `count` can be read where it stands. Nothing is copied except a sparse index list.
+
+use super::buffers::{Resources, range};
+use super::document::{AccessorDef, SparseDef, label};
+use super::error::ImportError;
+
+/// How one number of an element is stored.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Component {
+    I8,
+    U8,
+    I16,
+    U16,
+    U32,
+    F32,
+}
+
+impl Component {
+    fn from_code(code: u64) -> Option<Self> {
+        Some(match code {
+            5120 => Self::I8,
+            5121 => Self::U8,
+            5122 => Self::I16,
+            5123 => Self::U16,
+            5125 => Self::U32,
+            5126 => Self::F32,
+            _ => return None,
+        })
+    }
+
+    fn bytes(self) -> usize {
+        match self {
+            Self::I8 | Self::U8 => 1,
+            Self::I16 | Self::U16 => 2,
+            Self::U32 | Self::F32 => 4,
+        }
+    }
+
+    /// Lane `lane` of an element as a number, and as a fraction of the type's range where
+    /// `normalized` (section 3.6.2.2). `u32` cannot be normalised.
+    fn read(self, element: &[u8], lane: usize, normalized: bool) -> f32 {
+        let (value, full) = match self {
+            Self::F32 => return f32::from_le_bytes(element.as_chunks().0[lane]),
+            Self::U32 => return u32::from_le_bytes(element.as_chunks().0[lane]) as f32,
+            Self::I8 => (f32::from(element[lane] as i8), 127.0),
+            Self::U8 => (f32::from(element[lane]), 255.0),
+            Self::I16 => (f32::from(i16::from_le_bytes(element.as_chunks().0[lane])), 32767.0),
+            Self::U16 => (f32::from(u16::from_le_bytes(element.as_chunks().0[lane])), 65535.0),
+        };
+        if normalized { (value / full).max(-1.0) } else { value }
+    }
+
+    /// An index. Signed and floating components are refused when an accessor is opened.
+    fn read_index(self, element: &[u8]) -> u32 {
+        match self {
+            Self::U8 => u32::from(element[0]),
+            Self::U16 => u32::from(u16::from_le_bytes(element.as_chunks().0[0])),
+            Self::U32 => u32::from_le_bytes(element.as_chunks().0[0]),
+            Self::I8 | Self::I16 | Self::F32 => {
+                unreachable!("checked when the accessor was opened")
+            }
+        }
+    }
+
+    fn can_index(self) -> bool {
+        matches!(self, Self::U8 | Self::U16 | Self::U32)
+    }
+}
+
+/// What an accessor is to be used as; decides which types are fit for it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Role {
+    /// Vertex numbers: unsigned scalars.
+    Indices,
+    /// Three lanes, any component that KHR_mesh_quantization allows.
+    Position,
+    /// Three lanes; integers are always fractions.
+    Normal,
+    /// Three or four lanes; integers are always fractions.
+    Color,
+}
+
+impl Role {
+    fn fits(self, component: Component, lanes: usize) -> bool {
+        match self {
+            Self::Indices => lanes == 1 && component.can_index(),
+            Self::Position | Self::Normal => lanes == 3 && component != Component::U32,
+            Self::Color => (lanes == 3 || lanes == 4) && component != Component::U32,
+        }
+    }
+}
+
+/// Elements that replace those of the base, by strictly rising index.
+struct Sparse<'a> {
+    indices: Vec<u32>,
+    values: &'a [u8],
+}
+
+/// An accessor whose every element is known to be there.
+pub(super) struct Accessor<'a> {
+    /// `None`: all zero but for the sparse elements.
+    base: Option<&'a [u8]>,
+    stride: usize,
+    element_bytes: usize,
+    component: Component,
+    lanes: usize,
+    normalized: bool,
+    sparse: Option<Sparse<'a>>,
+    /// How many elements it has.
+    pub(super) count: usize,
+}
+
+const ZERO_ELEMENT: [u8; 16] = [0; 16];
+
+impl<'a> Accessor<'a> {
+    /// Opens accessor `number` for `role`; `user` names who refers to it, for messages.
+    pub(super) fn open(
+        resources: &'a Resources<'_>,
+        user: &str,
+        number: usize,
+        role: Role,
+    ) -> Result<Self, ImportError> {
+        let all = &resources.document.accessors;
+        let Some(def) = all.get(number) else {
+            return Err(
+                resources.broken(user, format!("it refers to accessor {number} of {}", all.len()))
+            );
+        };
+        let at = format!("{user}, {}", label("accessor", number, def.name.as_ref()));
+        let (component, lanes) = element_type(def)
+            .filter(|&(component, lanes)| role.fits(component, lanes))
+            .ok_or_else(|| {
+                let found =
+                    format!("component type {}, type {:?}", def.component_type, def.element_type);
+                resources.broken(&at, format!("{found} cannot be used as {role:?}"))
+            })?;
+        let element_bytes = component.bytes() * lanes;
+        let (base, stride) = match def.buffer_view {
+            Some(view) => base(resources, &at, def, view, element_bytes)?,
+            None if def.sparse.is_none() => {
+                let what =
+                    "it has no data of its own: no buffer view and no sparse elements".into();
+                return Err(resources.invalid(at, what, "export without mesh compression"));
+            }
+            // Zeros cost no bytes, so only the size of the file bounds what may be claimed.
+            None if def.count > resources.total_bytes() => {
+                return Err(resources.broken(
+                    &at,
+                    format!("it claims {} elements and has no buffer view", def.count),
+                ));
+            }
+            None => (None, element_bytes),
+        };
+        let sparse = match &def.sparse {
+            Some(sparse) => Some(open_sparse(resources, &at, sparse, def.count, element_bytes)?),
+            None => None,
+        };
+        let normalized = def.normalized || matches!(role, Role::Normal | Role::Color);
+        Ok(Self {
+            base,
+            stride,
+            element_bytes,
+            component,
+            lanes,
+            normalized,
+            sparse,
+            count: def.count,
+        })
+    }
+
+    /// Element `i` as an index.
+    pub(super) fn index(&self, i: usize) -> u32 {
+        self.component.read_index(self.element(i))
+    }
+
+    /// The first `N` lanes of element `i`; a lane that the type lacks is one, as alpha is.
+    pub(super) fn vector<const N: usize>(&self, i: usize) -> [f32; N] {
+        let element = self.element(i);
+        std::array::from_fn(|lane| {
+            if lane < self.lanes {
+                self.component.read(element, lane, self.normalized)
+            } else {
+                1.0
+            }
+        })
+    }
+
+    fn element(&self, i: usize) -> &[u8] {
+        debug_assert!(i < self.count);
+        if let Some(sparse) = &self.sparse
+            && let Ok(place) = sparse.indices.binary_search_by(|&index| (index as usize).cmp(&i))
+        {
+            return &sparse.values[place * self.element_bytes..][..self.element_bytes];
+        }
+        match self.base {
+            Some(bytes) => &bytes[i * self.stride..][..self.element_bytes],
+            None => &ZERO_ELEMENT[..self.element_bytes],
+        }
+    }
+}
+
+fn element_type(def: &AccessorDef) -> Option<(Component, usize)> {
+    let lanes = match def.element_type.as_str() {
+        "SCALAR" => 1,
+        "VEC2" => 2,
+        "VEC3" => 3,
+        "VEC4" => 4,
+        _ => return None,
+    };
+    Some((Component::from_code(def.component_type)?, lanes))
+}
+
+/// The bytes from the first element on, and the step between elements, once they are known to
+/// hold `def.count` of them.
+fn base<'a>(
+    resources: &'a Resources<'_>,
+    at: &str,
+    def: &AccessorDef,
+    view: usize,
+    element_bytes: usize,
+) -> Result<(Option<&'a [u8]>, usize), ImportError> {
+    let (bytes, stride) = resources.view(at, view)?;
+    let stride = stride.unwrap_or(element_bytes);
+    if stride < element_bytes {
+        return Err(resources.broken(
+            at,
+            format!("its elements of {element_bytes} bytes overlap at stride {stride}"),
+        ));
+    }
+    let needed = match def.count.checked_sub(1) {
+        None => Some(0),
+        Some(steps) => steps.checked_mul(stride).and_then(|bytes| bytes.checked_add(element_bytes)),
+    };
+    let found = needed.and_then(|needed| range(bytes, def.byte_offset, needed)).ok_or_else(|| {
+        let (count, offset, has) = (def.count, def.byte_offset, bytes.len());
+        let what = format!("it claims {count} elements, {stride} bytes apart, at byte {offset} of a view of {has} bytes");
+        resources.broken(at, what)
+    })?;
+    Ok((Some(found), stride))
+}
+
+fn open_sparse<'a>(
+    resources: &'a Resources<'_>,
+    at: &str,
+    def: &SparseDef,
+    elements: usize,
+    element_bytes: usize,
+) -> Result<Sparse<'a>, ImportError> {
+    let part = |view: usize, offset: usize, each: usize, name: &str| {
+        let bytes = resources.view(at, view)?.0;
+        def.count.checked_mul(each).and_then(|needed| range(bytes, offset, needed)).ok_or_else(
+            || {
+                let (count, has) = (def.count, bytes.len());
+                resources.broken(
+                    at,
+                    format!(
+                        "it claims {count} sparse {name}, at byte {offset} of a view of {has} bytes"
+                    ),
+                )
+            },
+        )
+    };
+    let component = Component::from_code(def.indices.component_type)
+        .filter(|component| component.can_index())
+        .ok_or_else(|| {
+            resources.broken(
+                at,
+                format!("its sparse indices have component type {}", def.indices.component_type),
+            )
+        })?;
+    let places =
+        part(def.indices.buffer_view, def.indices.byte_offset, component.bytes(), "indices")?;
+    let values = part(def.values.buffer_view, def.values.byte_offset, element_bytes, "values")?;
+    let indices: Vec<u32> = places
+        .chunks_exact(component.bytes())
+        .map(|element| component.read_index(element))
+        .collect();
+    if !indices.is_sorted_by(|a, b| a < b) {
+        return Err(resources.broken(at, "its sparse indices do not rise".into()));
+    }
+    if let Some(&last) = indices.last().filter(|&&last| last as usize >= elements) {
+        return Err(resources
+            .broken(at, format!("its sparse index {last} is beyond its {elements} elements")));
+    }
+    Ok(Sparse { indices, values })
+}

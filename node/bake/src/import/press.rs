@@ -1,0 +1,45 @@
+//! Objects whose transform presses space flat, made into meshes of their own.
+//!
+//! A scale of zero along one axis is legal and visible (a box pressed into a decal), yet such a
+//! transform has no inverse, so no normal can be mapped through it. The pressed shape is worked
+//! out here once, and the object is left with a plain translation.
+
+use glam::{DAffine3, DMat3, DVec3};
+
+use super::mesh::unit;
+use crate::source::SourceMesh;
+
+/// Whether a transform needs [`press`].
+pub(super) fn is_flat(transform: &DAffine3) -> bool {
+    transform.matrix3.determinant() == 0.0
+}
+
+/// `mesh` mapped through `matrix`, with the normals of its faces; what collapses to a line counts
+/// as degenerate. `None` where a position leaves the range of `f32`, or an index that of `u32`.
+pub(super) fn press(mesh: &SourceMesh, matrix: DMat3) -> Option<SourceMesh> {
+    let mut pressed = SourceMesh {
+        name: mesh.name.clone(),
+        dropped_degenerate: mesh.dropped_degenerate,
+        ..SourceMesh::default()
+    };
+    for triangle in &mesh.indices {
+        let points = triangle.map(|vertex| {
+            (matrix * DVec3::from(mesh.positions[vertex as usize].map(f64::from))).as_vec3()
+        });
+        if points.iter().any(|point| !point.is_finite()) {
+            return None;
+        }
+        let [a, b, c] = points.map(|point| point.as_dvec3());
+        let area = (b - a).cross(c - a);
+        if area == DVec3::ZERO {
+            pressed.dropped_degenerate += 1;
+            continue;
+        }
+        let first = u32::try_from(pressed.positions.len()).ok()?;
+        pressed.indices.push([first, first.checked_add(1)?, first.checked_add(2)?]);
+        pressed.positions.extend(points.map(|point| point.to_array()));
+        pressed.normals.extend([unit(area); 3]);
+        pressed.colors.extend(triangle.map(|vertex| mesh.colors[vertex as usize]));
+    }
+    Some(pressed)
+}

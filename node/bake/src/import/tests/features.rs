@@ -1,0 +1,360 @@
+//! One test a feature of the format.
+
+use glam::DVec3;
+use serde_json::json;
+
+use crate::import::import;
+use crate::import::testing::{F32, Scene, U8, U16, U32, glb, png};
+use crate::source::Source;
+
+fn world(source: &Source, object: usize) -> Vec<DVec3> {
+    let object = &source.objects[object];
+    let points = &source.meshes[object.mesh].positions;
+    points
+        .iter()
+        .map(|p| object.world_from_mesh.transform_point3(DVec3::from(p.map(f64::from))))
+        .collect()
+}
+
+/// Four corners of a unit square in the plane z = 0, round its rim.
+const SQUARE: [f32; 12] = [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 1.0, 0.0];
+
+#[test]
+fn a_plain_triangle() {
+    let source = Scene::triangle().import().unwrap();
+    assert_eq!(source.up, [0.0, 1.0, 0.0]);
+    assert_eq!(
+        (source.meshes[0].name.as_str(), source.objects[0].name.as_str()),
+        ("mesh 0", "node 0")
+    );
+    assert_eq!(source.meshes[0].indices, [[0, 1, 2]]);
+    assert_eq!(source.meshes[0].normals, [[0.0, 0.0, 1.0]; 3]);
+    assert_eq!(source.meshes[0].colors, [[255; 4]; 3]);
+    assert!(source.notes.is_empty(), "{:?}", source.notes);
+}
+
+#[test]
+fn indices_of_every_width_and_none() {
+    for (component, bytes) in [
+        (U8, vec![0, 1, 2]),
+        (U16, vec![0, 0, 1, 0, 2, 0]),
+        (U32, vec![0, 0, 0, 0, 1, 0, 0, 0, 2, 0, 0, 0]),
+    ] {
+        let mut scene = Scene::triangle();
+        let indices = scene.accessor(component, "SCALAR", 3, &bytes);
+        scene.json["meshes"][0]["primitives"][0]["indices"] = json!(indices);
+        assert_eq!(scene.import().unwrap(), Scene::triangle().import().unwrap());
+    }
+    let mut scene = Scene::triangle();
+    scene.json["meshes"][0]["primitives"][0].as_object_mut().unwrap().remove("indices");
+    assert_eq!(scene.import().unwrap(), Scene::triangle().import().unwrap());
+}
+
+#[test]
+fn strips_and_fans_keep_their_winding_and_drop_degenerate_joins() {
+    let mut scene = Scene::new();
+    let positions = scene.floats("VEC3", &SQUARE);
+    let strip = scene.accessor(U8, "SCALAR", 6, &[0, 1, 3, 2, 2, 2]);
+    let fan = scene.accessor(U8, "SCALAR", 4, &[0, 1, 2, 3]);
+    for (mode, indices) in [(5, strip), (6, fan)] {
+        let primitive =
+            json!({"attributes": {"POSITION": positions}, "indices": indices, "mode": mode});
+        let mesh = scene.add("meshes", json!({"primitives": [primitive]}));
+        scene.add("nodes", json!({"mesh": mesh}));
+    }
+    let source = scene.import().unwrap();
+    for (mesh, dropped) in source.meshes.iter().zip([2, 0]) {
+        assert_eq!((mesh.indices.len(), mesh.dropped_degenerate), (2, dropped));
+        // Flat faces of one plane share their corners.
+        assert_eq!(mesh.normals, [[0.0, 0.0, 1.0]; 4]);
+    }
+    assert_eq!(source.triangles(), 6);
+    assert!(source.notes[0].starts_with("2 degenerate"), "{:?}", source.notes);
+}
+
+#[test]
+fn flat_shading_splits_a_vertex_between_planes() {
+    let mut scene = Scene::new();
+    let points = [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
+    let positions = scene.floats("VEC3", &points);
+    let indices = scene.accessor(U8, "SCALAR", 6, &[0, 1, 2, 0, 2, 3]);
+    scene.add(
+        "meshes",
+        json!({"primitives": [{"attributes": {"POSITION": positions}, "indices": indices}]}),
+    );
+    scene.add("nodes", json!({"mesh": 0}));
+    let mesh = &scene.import().unwrap().meshes[0];
+    assert_eq!(mesh.normals, [[[0.0, 0.0, 1.0]; 3], [[1.0, 0.0, 0.0]; 3]].concat());
+    assert_eq!(mesh.indices, [[0, 1, 2], [3, 4, 5]]);
+}
+
+#[test]
+fn normals_of_the_file_are_kept_and_those_without_direction_mended() {
+    let mut scene = Scene::triangle();
+    let normals = scene.floats("VEC3", &[3.0, 0.0, 4.0, 0.0, 0.0, 0.0, f32::NAN, 0.0, 1.0]);
+    scene.json["meshes"][0]["primitives"][0]["attributes"]["NORMAL"] = json!(normals);
+    let source = scene.import().unwrap();
+    assert_eq!(source.meshes[0].normals, [[0.6, 0.0, 0.8], [0.0, 0.0, 1.0], [0.0, 0.0, 1.0]]);
+    assert!(source.notes[0].starts_with("2 normals"));
+}
+
+#[test]
+fn transforms_accumulate_and_meshes_stay_shared() {
+    let mut scene = Scene::triangle();
+    scene.json["nodes"] = json!([
+        {"name": "root", "translation": [10.0, 0.0, 0.0], "scale": [2.0, 2.0, 2.0], "children": [2, 1]},
+        {"name": "matrix", "mesh": 0, "matrix": [0,1,0,0, -1,0,0,0, 0,0,1,0, 5,0,0,1]},
+        {"name": "turned", "mesh": 0, "rotation": [0.0, 0.0, 1.0, 1.0]},
+    ]);
+    let source = scene.import().unwrap();
+    assert_eq!(source.meshes.len(), 1);
+    // Depth first, children in the file's order.
+    assert_eq!(
+        source.objects.iter().map(|object| object.name.as_str()).collect::<Vec<_>>(),
+        ["turned", "matrix"]
+    );
+    let near = |a: Vec<DVec3>, b: [[f64; 3]; 3]| {
+        a.iter().zip(b).all(|(a, b)| (*a - DVec3::from(b)).length() < 1e-7)
+    };
+    assert!(near(world(&source, 0), [[10.0, 0.0, 0.0], [10.0, 2.0, 0.0], [8.0, 0.0, 0.0]]));
+    assert!(near(world(&source, 1), [[20.0, 0.0, 0.0], [20.0, 2.0, 0.0], [18.0, 0.0, 0.0]]));
+    assert_eq!((source.triangles(), source.unique_triangles()), (2, 1));
+}
+
+#[test]
+fn a_mirror_keeps_its_sign() {
+    let mut scene = Scene::triangle();
+    scene.json["nodes"] = json!([{"mesh": 0, "scale": [-1.0, 1.0, 1.0]}, {"mesh": 0}]);
+    let source = scene.import().unwrap();
+    assert_eq!(
+        source.objects.iter().map(|object| object.is_mirrored()).collect::<Vec<_>>(),
+        [true, false]
+    );
+    assert_eq!(source.meshes.len(), 1);
+}
+
+#[test]
+fn an_object_pressed_flat_gets_a_mesh_with_normals_of_its_own() {
+    let mut scene = Scene::triangle();
+    scene.json["nodes"] = json!([
+        {"mesh": 0, "scale": [2.0, 2.0, 0.0], "translation": [0.0, 0.0, 7.0]},
+        {"mesh": 0, "scale": [0.0, 1.0, 1.0]},
+        {"mesh": 0},
+    ]);
+    let source = scene.import().unwrap();
+    assert_eq!((source.objects.len(), source.triangles()), (3, 3));
+    assert!(
+        source.objects.iter().all(|object| object.world_from_mesh.matrix3.determinant() != 0.0)
+    );
+    assert_eq!(world(&source, 0)[1], DVec3::new(2.0, 0.0, 7.0));
+    let mesh_of = |object: usize| &source.meshes[source.objects[object].mesh];
+    assert_eq!(mesh_of(0).normals, [[0.0, 0.0, 1.0]; 3]);
+    assert_eq!((mesh_of(1).indices.len(), mesh_of(1).dropped_degenerate), (0, 1));
+}
+
+#[test]
+fn a_mesh_that_only_pressed_objects_show_leaves_no_trace() {
+    let mut scene = Scene::triangle();
+    scene.json["nodes"] = json!([{"mesh": 0, "scale": [1.0, 3.0, 0.0]}]);
+    let source = scene.import().unwrap();
+    assert_eq!((source.meshes.len(), source.objects[0].mesh), (1, 0));
+    assert_eq!(source.meshes[0].positions[2], [0.0, 3.0, 0.0]);
+}
+
+#[test]
+fn the_default_scene_is_shown_else_the_first_else_every_root() {
+    let mut scene = Scene::triangle();
+    scene.json["nodes"] = json!([{"mesh": 0, "name": "a"}, {"mesh": 0, "name": "b", "children": [2]}, {"mesh": 0, "name": "c"}]);
+    let shown = |scene: &Scene| -> String {
+        scene.import().unwrap().objects.iter().map(|object| object.name.clone()).collect()
+    };
+    assert_eq!(shown(&scene), "abc");
+    scene.json["scenes"] = json!([{"nodes": [1]}, {"nodes": [0]}]);
+    assert_eq!(shown(&scene), "bc");
+    scene.json["scene"] = json!(1);
+    assert_eq!(shown(&scene), "a");
+}
+
+#[test]
+fn sparse_elements_replace_those_of_a_base_or_of_zero() {
+    let mut scene = Scene::triangle();
+    let places = scene.view(&[1, 2]);
+    let moved: Vec<u8> =
+        [4.0f32, 0.0, 0.0, 0.0, 4.0, 0.0].iter().flat_map(|v| v.to_le_bytes()).collect();
+    let values = scene.view(&moved);
+    let sparse = json!({"count": 2, "indices": {"bufferView": places, "componentType": U8}, "values": {"bufferView": values}});
+    scene.json["accessors"][0]["sparse"] = sparse;
+    let expected = [[0.0, 0.0, 0.0], [4.0, 0.0, 0.0], [0.0, 4.0, 0.0]];
+    assert_eq!(scene.import().unwrap().meshes[0].positions, expected);
+    scene.json["accessors"][0].as_object_mut().unwrap().remove("bufferView");
+    assert_eq!(scene.import().unwrap().meshes[0].positions, expected);
+}
+
+#[test]
+fn strides_offsets_and_quantised_components() {
+    let mut scene = Scene::triangle();
+    // One byte of lead-in, then three signed bytes and one of padding each.
+    let bytes = [9, 0, 0, 0, 9, 127, 0, 0, 9, 0, 0x81, 0, 9];
+    let positions = scene.accessor(5120, "VEC3", 3, &bytes);
+    scene.json["accessors"][positions]["byteOffset"] = json!(1);
+    scene.json["bufferViews"][positions]["byteStride"] = json!(4);
+    scene.json["meshes"][0]["primitives"][0]["attributes"]["POSITION"] = json!(positions);
+    scene.json["extensionsRequired"] = json!(["KHR_mesh_quantization"]);
+    assert_eq!(
+        scene.import().unwrap().meshes[0].positions,
+        [[0.0; 3], [127.0, 0.0, 0.0], [0.0, -127.0, 0.0]]
+    );
+    scene.json["accessors"][positions]["normalized"] = json!(true);
+    assert_eq!(
+        scene.import().unwrap().meshes[0].positions,
+        [[0.0; 3], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]
+    );
+}
+
+#[test]
+fn vertex_colours_of_every_kind_times_the_factor() {
+    let floats: Vec<u8> =
+        [1.0f32, 0.5, 0.0].repeat(3).iter().flat_map(|v| v.to_le_bytes()).collect();
+    let shorts: Vec<u8> =
+        [65535u16, 32768, 0, 65535].repeat(3).iter().flat_map(|v| v.to_le_bytes()).collect();
+    let bytes = [255, 128, 0, 255].repeat(3);
+    for (component, element, data) in
+        [(F32, "VEC3", floats), (U16, "VEC4", shorts), (U8, "VEC4", bytes)]
+    {
+        let mut scene = Scene::triangle();
+        let colors = scene.accessor(component, element, 3, &data);
+        let primitive = &mut scene.json["meshes"][0]["primitives"][0];
+        primitive["attributes"]["COLOR_0"] = json!(colors);
+        primitive["material"] = json!(0);
+        scene.add("materials", json!({
+            "alphaMode": "BLEND", "pbrMetallicRoughness": {"baseColorFactor": [0.5, 1.0, 1.0, 0.5]},
+        }));
+        assert_eq!(
+            scene.import().unwrap().meshes[0].colors,
+            [[128, 128, 0, 128]; 3],
+            "{component} {element}"
+        );
+    }
+}
+
+/// A triangle whose material has a texture: black and white, 0.5 in linear light.
+fn textured(image: serde_json::Value) -> Scene {
+    let mut scene = Scene::triangle();
+    scene.add("images", image);
+    scene.add("textures", json!({"source": 0}));
+    scene.add("materials", json!({"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}));
+    scene.json["meshes"][0]["primitives"][0]["material"] = json!(0);
+    scene
+}
+
+#[test]
+fn textures_from_views_data_uris_and_files_count_by_their_mean() {
+    let picture = png(2, 1, &[[0, 0, 0, 255], [255, 255, 255, 255]]);
+    let mut scene = textured(json!({}));
+    let view = scene.view(&picture);
+    scene.json["images"][0]["bufferView"] = json!(view);
+    assert_eq!(scene.import().unwrap().meshes[0].colors[0], [128, 128, 128, 255]);
+
+    let escaped: String = picture.iter().map(|byte| format!("%{byte:02X}")).collect();
+    let scene = textured(json!({"uri": format!("data:image/png,{escaped}")}));
+    assert_eq!(scene.import().unwrap().meshes[0].colors[0], [128, 128, 128, 255]);
+
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("wall.png"), &picture).unwrap();
+    let file = folder.path().join("scene.glb");
+    std::fs::write(&file, textured(json!({"uri": "wall.png"})).bytes()).unwrap();
+    assert_eq!(import(&file).unwrap().meshes[0].colors[0], [128, 128, 128, 255]);
+}
+
+#[test]
+fn a_texture_that_cannot_be_had_leaves_the_factor_and_a_note() {
+    for (image, word) in
+        [(json!({"uri": "none.png"}), "missing"), (json!({"uri": "data:,nothing"}), "decoded")]
+    {
+        let source = textured(image).import().unwrap();
+        assert_eq!(source.meshes[0].colors[0], [255; 4]);
+        assert!(
+            source.notes[0].contains(word) && source.notes[0].contains("image 0"),
+            "{:?}",
+            source.notes
+        );
+    }
+}
+
+#[test]
+fn gltf_with_buffers_in_files_and_in_data_uris() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("scene.gltf");
+    let mut scene = Scene::triangle();
+    std::fs::write(folder.path().join("part one.bin"), &scene.bin).unwrap();
+    scene.json["buffers"][0] = json!({"byteLength": scene.bin.len(), "uri": "part%20one.bin"});
+    std::fs::write(&file, scene.json.to_string()).unwrap();
+    assert_eq!(import(&file).unwrap(), Scene::triangle().import().unwrap());
+
+    let escaped: String = scene.bin.iter().map(|byte| format!("%{byte:02X}")).collect();
+    scene.json["buffers"][0]["uri"] = json!(format!("data:application/octet-stream,{escaped}"));
+    std::fs::write(&file, scene.json.to_string()).unwrap();
+    assert_eq!(import(&file).unwrap(), Scene::triangle().import().unwrap());
+}
+
+#[test]
+fn primitives_merge_and_what_is_no_surface_is_noted() {
+    let mut scene = Scene::triangle();
+    let primitives = scene.json["meshes"][0]["primitives"].as_array_mut().unwrap();
+    let mut second = primitives[0].clone();
+    second["targets"] = json!([{"POSITION": 0}]);
+    primitives.push(second);
+    primitives.push(json!({"attributes": {"POSITION": 0}, "mode": 1}));
+    primitives.push(json!({"attributes": {}}));
+    scene.add("meshes", json!({"primitives": [{"attributes": {"POSITION": 0}, "mode": 0}]}));
+    scene.add("nodes", json!({"mesh": 1}));
+    for list in ["cameras", "skins", "animations"] {
+        scene.json[list] = json!([{}]);
+    }
+    scene.json["extensionsUsed"] = json!(["EXT_mesh_gpu_instancing"]);
+    let source = scene.import().unwrap();
+    assert_eq!(source.meshes[0].indices, [[0, 1, 2], [3, 4, 5]]);
+    assert_eq!(source.objects.len(), 1);
+    let notes = source.notes.join("; ");
+    for word in [
+        "cameras",
+        "skins",
+        "animations",
+        "2 point and line",
+        "without positions",
+        "morph",
+        "instancing",
+        "1 objects",
+    ] {
+        assert!(notes.contains(word), "{word}: {notes}");
+    }
+}
+
+#[test]
+fn only_the_vertices_in_use_are_kept() {
+    let mut scene = Scene::new();
+    let positions = scene.floats("VEC3", &[SQUARE.as_slice(), &[f32::NAN; 3]].concat());
+    let normals = scene.floats("VEC3", &[0.0, 0.0, 1.0].repeat(5));
+    let indices = scene.accessor(U8, "SCALAR", 3, &[1, 2, 3]);
+    let attributes = json!({"POSITION": positions, "NORMAL": normals});
+    scene.add("meshes", json!({"primitives": [{"attributes": attributes, "indices": indices}]}));
+    scene.add("nodes", json!({"mesh": 0}));
+    assert_eq!(
+        scene.import().unwrap().meshes[0].positions,
+        [[1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.0]]
+    );
+}
+
+#[test]
+fn chunks_of_unknown_kind_are_passed_over() {
+    let mut bytes = Scene::triangle().bytes();
+    bytes.extend([4, 0, 0, 0, b'X', b'T', b'R', b'A', 1, 2, 3, 4]);
+    let length = bytes.len() as u32;
+    bytes[8..12].copy_from_slice(&length.to_le_bytes());
+    let file = std::path::Path::new("scene.glb");
+    assert_eq!(
+        crate::import::import_bytes(file, &bytes).unwrap(),
+        Scene::triangle().import().unwrap()
+    );
+    assert!(crate::import::import_bytes(file, &glb("[]", &[])).is_err());
+}

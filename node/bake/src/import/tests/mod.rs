@@ -1,0 +1,5 @@
+//! Whole scenes, good and bad, through the importer.
+
+mod broken;
+mod features;
+mod real;

@@ -1,0 +1,234 @@
+//! What a URI in a scene file refers to: bytes in the URI itself, or a file in the scene's folder.
+
+use std::path::{Component, Path, PathBuf};
+
+use super::error::ImportError;
+
+/// Where a scene file stands, and so what its relative URIs mean.
+pub(super) struct Folder<'a> {
+    /// The scene file.
+    pub(super) file: &'a Path,
+}
+
+impl Folder<'_> {
+    /// The bytes a URI refers to; `at` names the object that holds it.
+    ///
+    /// Only data URIs and files inside the scene's own folder are read: a scheme, an absolute
+    /// path, a `..` or a symbolic link that leads out is refused.
+    pub(super) fn read(&self, at: &str, uri: &str) -> Result<Vec<u8>, ImportError> {
+        if let Some(data) = uri.strip_prefix("data:") {
+            return decode_data(data).map_err(|what| ImportError::Invalid {
+                file: self.file.into(),
+                at: at.into(),
+                what: format!("its data URI {what}"),
+                fix: "export the file again",
+            });
+        }
+        let path = self.locate(at, uri)?;
+        std::fs::read(&path).map_err(|source| ImportError::Read { file: path, source })
+    }
+
+    fn locate(&self, at: &str, uri: &str) -> Result<PathBuf, ImportError> {
+        let outside = |why| ImportError::OutsideFolder {
+            file: self.file.into(),
+            at: at.into(),
+            uri: shorten(uri),
+            why,
+        };
+        let missing = || ImportError::MissingResource {
+            file: self.file.into(),
+            at: at.into(),
+            uri: shorten(uri),
+        };
+        let scheme = uri.split_once(':').is_some_and(|(before, _)| !before.contains(['/', '\\']));
+        if scheme {
+            return Err(outside("names a scheme or a drive"));
+        }
+        let name = String::from_utf8(percent_decode(uri))
+            .map_err(|_| outside("is not UTF-8 once decoded"))?;
+        // Both separators count on every system, so that a file means the same everywhere.
+        if name.starts_with(['/', '\\']) {
+            return Err(outside("is an absolute path"));
+        }
+        if name.split(['/', '\\']).any(|part| part == "..") {
+            return Err(outside("climbs out by \"..\""));
+        }
+        if !Path::new(&name)
+            .components()
+            .all(|part| matches!(part, Component::Normal(_) | Component::CurDir))
+            || name.contains('\0')
+        {
+            return Err(outside("is no relative path"));
+        }
+        let folder = match self.file.parent() {
+            Some(parent) if !parent.as_os_str().is_empty() => parent,
+            _ => Path::new("."),
+        };
+        let target = folder.join(&name).canonicalize().map_err(|source| match source.kind() {
+            std::io::ErrorKind::NotFound => missing(),
+            _ => ImportError::Read { file: folder.join(&name), source },
+        })?;
+        let folder = folder
+            .canonicalize()
+            .map_err(|source| ImportError::Read { file: folder.to_path_buf(), source })?;
+        if !target.starts_with(&folder) {
+            return Err(outside("is a symbolic link that leads out of it"));
+        }
+        // A pipe or a device inside the folder could be read for ever.
+        if target.is_file() { Ok(target) } else { Err(missing()) }
+    }
+}
+
+/// A URI for a message: whole, unless it is absurdly long.
+fn shorten(uri: &str) -> String {
+    const LONGEST: usize = 200;
+    if uri.chars().count() <= LONGEST {
+        uri.to_owned()
+    } else {
+        uri.chars().take(LONGEST).chain("...".chars()).collect()
+    }
+}
+
+/// The body of `data:[media type][;base64],body` (RFC 2397).
+fn decode_data(data: &str) -> Result<Vec<u8>, &'static str> {
+    let (head, body) = data.split_once(',').ok_or("has no comma")?;
+    if head.ends_with(";base64") {
+        decode_base64(body).ok_or("is not base64")
+    } else {
+        Ok(percent_decode(body))
+    }
+}
+
+/// RFC 3986, section 2.1. A `%` that starts no pair of hex digits stands for itself: exporters
+/// leave file names raw.
+fn percent_decode(text: &str) -> Vec<u8> {
+    let hex = |byte: Option<&u8>| byte.and_then(|b| (*b as char).to_digit(16));
+    let bytes = text.as_bytes();
+    let mut out = Vec::with_capacity(bytes.len());
+    let mut at = 0;
+    while at < bytes.len() {
+        match (bytes[at], hex(bytes.get(at + 1)), hex(bytes.get(at + 2))) {
+            (b'%', Some(high), Some(low)) => {
+                out.push((high * 16 + low) as u8);
+                at += 3;
+            }
+            (byte, ..) => {
+                out.push(byte);
+                at += 1;
+            }
+        }
+    }
+    out
+}
+
+/// RFC 4648, section 4, padding optional; `None` for any other character.
+fn decode_base64(text: &str) -> Option<Vec<u8>> {
+    let digits = text.trim_end_matches('=').as_bytes();
+    if digits.len() % 4 == 1 || text.len() - digits.len() > 2 {
+        return None;
+    }
+    let mut out = Vec::with_capacity(digits.len() / 4 * 3 + 2);
+    for group in digits.chunks(4) {
+        let mut bits = 0u32;
+        for &digit in group {
+            let value = match digit {
+                b'A'..=b'Z' => digit - b'A',
+                b'a'..=b'z' => digit - b'a' + 26,
+                b'0'..=b'9' => digit - b'0' + 52,
+                b'+' => 62,
+                b'/' => 63,
+                _ => return None,
+            };
+            bits = bits << 6 | u32::from(value);
+        }
+        bits <<= 6 * (4 - group.len());
+        out.extend_from_slice(&bits.to_be_bytes()[1..group.len()]);
+    }
+    Some(out)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn base64_decodes_what_the_rfc_lists() {
+        for (text, bytes) in [
+            ("", ""),
+            ("Zg==", "f"),
+            ("Zm8=", "fo"),
+            ("Zm9v", "foo"),
+            ("Zm9vYg", "foob"),
+            ("Zm9vYmFy", "foobar"),
+        ] {
+            assert_eq!(decode_base64(text).unwrap(), bytes.as_bytes());
+        }
+        assert_eq!(decode_base64("+/+/").unwrap(), [0xFB, 0xFF, 0xBF]);
+        for bad in ["Z", "Zm9vY", "Zm9v====", "Z g=", "Zm\u{e9}v"] {
+            assert_eq!(decode_base64(bad), None, "{bad}");
+        }
+    }
+
+    #[test]
+    fn percent_pairs_decode_and_stray_percents_stay() {
+        assert_eq!(percent_decode("a%20b%2e%"), b"a b.%");
+        assert_eq!(decode_data("text/plain,a%00b").unwrap(), b"a\0b");
+        assert!(decode_data("no comma").is_err());
+    }
+
+    #[test]
+    fn only_the_scenes_own_folder_is_read() {
+        let root = tempfile::tempdir().unwrap();
+        let inside = root.path().join("scene");
+        std::fs::create_dir_all(inside.join("deep")).unwrap();
+        std::fs::write(root.path().join("secret.bin"), b"secret").unwrap();
+        std::fs::write(inside.join("deep/my part.bin"), b"part").unwrap();
+        let file = inside.join("a.gltf");
+        let folder = Folder { file: &file };
+        assert_eq!(folder.read("buffer 0", "deep/my%20part.bin").unwrap(), b"part");
+        assert_eq!(
+            folder.read("buffer 0", "data:application/octet-stream;base64,Zm9v").unwrap(),
+            b"foo"
+        );
+        let secret = root.path().join("secret.bin");
+        for uri in [
+            "../secret.bin",
+            "deep/../../secret.bin",
+            "%2e%2e/secret.bin",
+            "..\\secret.bin",
+            secret.to_str().unwrap(),
+            "file:///etc/passwd",
+            "https://example.org/a.bin",
+            "C:\\a.bin",
+            "\\\\host\\a.bin",
+            "a%00b",
+        ] {
+            let error = folder.read("buffer 0", uri).unwrap_err();
+            assert!(matches!(error, ImportError::OutsideFolder { .. }), "{uri}: {error}");
+            assert!(error.to_string().contains(&format!("{uri:?}")), "{error}");
+        }
+        for uri in ["none.bin", "deep", ""] {
+            let error = folder.read("buffer 0", uri).unwrap_err();
+            assert!(error.is_missing_input(), "{uri}: {error}");
+        }
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_link_may_point_inside_the_folder_but_not_out_of_it() {
+        let root = tempfile::tempdir().unwrap();
+        let inside = root.path().join("scene");
+        std::fs::create_dir(&inside).unwrap();
+        std::fs::write(root.path().join("secret.bin"), b"secret").unwrap();
+        std::fs::write(inside.join("real.bin"), b"real").unwrap();
+        std::os::unix::fs::symlink(inside.join("real.bin"), inside.join("near.bin")).unwrap();
+        std::os::unix::fs::symlink(root.path().join("secret.bin"), inside.join("far.bin")).unwrap();
+        let file = inside.join("a.gltf");
+        let folder = Folder { file: &file };
+        assert_eq!(folder.read("buffer 0", "near.bin").unwrap(), b"real");
+        assert!(matches!(
+            folder.read("buffer 0", "far.bin"),
+            Err(ImportError::OutsideFolder { .. })
+        ));
+    }
+}

@@ -1,0 +1,188 @@
+//! Quantising positions to a power-of-two grid, and meshes to the bytes of a blob.
+//!
+//! All grids share the origin of their space: every position is a whole multiple of its step. So
+//! pieces with one step close without cracks, and a coarser grid is a subset of a finer one.
+
+use geometry::mesh::Mesh;
+use glam::DVec3;
+use protocol::format::Vertex;
+use protocol::format::vertex::{MAX_BLOB_VERTICES, POSITION_MAX};
+use std::collections::HashMap;
+
+/// Bits of a grid coordinate in its space that stay exact in `f64`, with room to add two.
+const EXACT_BITS: i32 = 50;
+/// Finest step: far above the least normal `f32`, which steps are handed to a GPU in.
+const FINEST_STEP: f64 = 1.0 / (1u128 << 100) as f64;
+
+/// A mesh as it will lie in the file.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Packed {
+    /// Position of grid point 0.
+    pub(crate) origin: [f64; 3],
+    /// Size of a grid step.
+    pub(crate) step: f64,
+    pub(crate) vertices: Vec<Vertex>,
+    pub(crate) indices: Vec<u16>,
+}
+
+impl Packed {
+    /// Positions as a reader decodes them.
+    pub(crate) fn positions(&self) -> impl Iterator<Item = [f64; 3]> + '_ {
+        self.vertices.iter().map(|vertex| {
+            let grid = vertex.grid();
+            std::array::from_fn(|k| self.origin[k] + self.step * f64::from(grid[k]))
+        })
+    }
+
+    pub(crate) fn triangles(&self) -> u32 {
+        (self.indices.len() / 3) as u32
+    }
+}
+
+/// The finest step on which something of this extent fits a blob, its coordinates being at most
+/// `farthest` from 0.
+pub(crate) fn finest_step(extent: f64, farthest: f64) -> f64 {
+    // One step of room for the rounding of either end.
+    let by_extent = power_of_two_at_least(extent / f64::from(POSITION_MAX - 1));
+    by_extent.max(coarsest_exact(farthest)).max(FINEST_STEP)
+}
+
+/// The step below which coordinates as large as `farthest` are no longer exact.
+fn coarsest_exact(farthest: f64) -> f64 {
+    power_of_two_at_least(farthest * 0.5f64.powi(EXACT_BITS))
+}
+
+/// The least power of two that is at least `x`; [`FINEST_STEP`] for anything smaller.
+pub(crate) fn power_of_two_at_least(x: f64) -> f64 {
+    assert!(x.is_finite());
+    let x = x.max(FINEST_STEP);
+    // Clearing the mantissa rounds down to a power of two.
+    let below = f64::from_bits(x.to_bits() & 0x7ff0_0000_0000_0000);
+    if below < x { below * 2.0 } else { below }
+}
+
+/// Moves every vertex to the nearest grid point; returns the farthest move, at most
+/// `step * sqrt(3) / 2`. Triangles stay, even where they lose their area.
+pub(crate) fn snap(mesh: &mut Mesh, step: f64) -> f64 {
+    let mut farthest = 0.0f64;
+    for vertex in &mut mesh.vertices {
+        let snapped = snapped(vertex.position, step);
+        farthest = farthest.max(snapped.distance_squared(vertex.position));
+        vertex.position = snapped;
+    }
+    farthest.sqrt()
+}
+
+/// The nearest grid point. Exact but for the rounding itself: dividing by a power of two is.
+pub(crate) fn snapped(p: DVec3, step: f64) -> DVec3 {
+    (p / step).round() * step
+}
+
+/// Packs a mesh whose vertices lie on the grid of `step`; `None` when no triangle has three different
+/// corners. Equal vertices become one, in order of first use.
+///
+/// # Panics
+/// If a vertex lies off the grid, or the mesh is too large for it or for 16-bit indices.
+pub(crate) fn pack(mesh: &Mesh, step: f64) -> Option<Packed> {
+    let used = mesh.triangles.iter().filter(|t| {
+        let [a, b, c] = mesh.corners(**t);
+        a != b && b != c && c != a
+    });
+    let used: Vec<[u32; 3]> = used.copied().collect();
+    if used.is_empty() {
+        return None;
+    }
+    let corners = used.iter().flat_map(|t| mesh.corners(*t));
+    let origin = corners.fold(DVec3::INFINITY, DVec3::min);
+    let mut ids: HashMap<Vertex, u16> = HashMap::new();
+    let mut packed =
+        Packed { origin: origin.to_array(), step, vertices: Vec::new(), indices: Vec::new() };
+    for index in used.into_iter().flatten() {
+        let source = &mesh.vertices[index as usize];
+        let grid = (source.position - origin) / step;
+        assert!(
+            grid == grid.round() && grid.max_element() <= f64::from(POSITION_MAX),
+            "{grid} {step}"
+        );
+        let vertex = Vertex {
+            position: Vertex::pack_position(grid.to_array().map(|c| c as u32)),
+            normal: Vertex::pack_normal(source.normal.to_array()),
+            color: u32::from_le_bytes(source.color),
+        };
+        let id = *ids.entry(vertex).or_insert_with(|| {
+            packed.vertices.push(vertex);
+            assert!(packed.vertices.len() <= MAX_BLOB_VERTICES, "a mesh outgrew its indices");
+            (packed.vertices.len() - 1) as u16
+        });
+        packed.indices.push(id);
+    }
+    Some(packed)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use geometry::mesh::MeshVertex;
+    use glam::Vec3;
+
+    fn triangle(corners: [[f64; 3]; 3]) -> Mesh {
+        let vertex =
+            |p| MeshVertex { position: DVec3::from_array(p), normal: Vec3::Z, color: [1, 2, 3, 4] };
+        Mesh { vertices: corners.map(vertex).to_vec(), triangles: vec![[0, 1, 2]] }
+    }
+
+    #[test]
+    fn powers_of_two() {
+        assert_eq!(power_of_two_at_least(0.0), FINEST_STEP);
+        assert_eq!(power_of_two_at_least(1.0), 1.0);
+        assert_eq!(power_of_two_at_least(1.0 + f64::EPSILON), 2.0);
+        assert_eq!(power_of_two_at_least(0.3), 0.5);
+        assert_eq!(power_of_two_at_least(1e20), 147573952589676412928.0);
+    }
+
+    #[test]
+    fn what_has_no_area_on_the_grid_is_not_packed() {
+        assert_eq!(pack(&Mesh::default(), 1.0), None);
+        assert_eq!(pack(&triangle([[1e7; 3]; 3]), 1.0), None);
+        let mut needle = triangle([[0.0; 3], [0.2, 0.0, 0.0], [4.0, 0.0, 0.0]]);
+        assert_eq!(snap(&mut needle, 1.0), 0.2);
+        assert_eq!(pack(&needle, 1.0), None);
+    }
+
+    #[test]
+    fn decoding_is_exact_at_any_scale_and_distance() {
+        for (scale, offset) in [(1.0, 0.0), (1e-6, 0.0), (1e6, 0.0), (1e-3, 1e7), (3.0, -1e7)] {
+            let mut mesh =
+                triangle([[0.0; 3], [scale, 0.1 * scale, 0.0], [0.0, scale, 0.7 * scale]]);
+            mesh.vertices.iter_mut().for_each(|v| v.position += offset);
+            let before = mesh.clone();
+            let step = finest_step(scale, offset.abs() + scale);
+            let moved = snap(&mut mesh, step);
+            assert!(moved <= step * 0.867, "{moved} {step}");
+            let packed = pack(&mesh, step).unwrap();
+            for (decoded, vertex) in packed.positions().zip(&mesh.vertices) {
+                assert_eq!(decoded, vertex.position.to_array());
+            }
+            for (decoded, vertex) in packed.positions().zip(&before.vertices) {
+                assert!(DVec3::from_array(decoded).distance(vertex.position) <= step * 0.867);
+            }
+            // A step of 2^-21 of the extent, or the last bits of the coordinates.
+            assert!(step <= scale / (1 << 20) as f64 || step <= offset.abs() * 1e-14, "{step}");
+        }
+    }
+
+    #[test]
+    #[should_panic(expected = "1")]
+    fn a_mesh_off_its_grid_is_a_bug() {
+        pack(&triangle([[0.0; 3], [1.5, 0.0, 0.0], [0.0, 1.0, 0.0]]), 1.0);
+    }
+
+    #[test]
+    fn equal_vertices_become_one() {
+        let mut mesh = triangle([[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]);
+        mesh.append(&triangle([[1.0, 1.0, 0.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]));
+        let packed = pack(&mesh, 1.0).unwrap();
+        assert_eq!(packed.vertices.len(), 4);
+        assert_eq!(packed.indices, [0, 1, 2, 3, 2, 1]);
+    }
+}

@@ -1,0 +1,113 @@
+//! A source scene: what every importer yields and every later stage of the bake reads.
+
+/// One mesh, in its own coordinates. Any number of objects may place it.
+///
+/// An importer guarantees: `positions`, `normals` and `colors` are equally long, every number is
+/// finite, every index is below that length, and no triangle is exactly degenerate (a repeated
+/// index, or an area that is zero in `f64`).
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct SourceMesh {
+    /// The file's own name for it, or a made-up one that says where it stands ("mesh 3").
+    pub name: String,
+    /// Vertex positions, in mesh units.
+    pub positions: Vec<[f32; 3]>,
+    /// Unit normals, one a position. Where the file has none, vertices are duplicated and each
+    /// triangle gets its face normal (glTF 2.0, section 3.7.2.1, "flat normals").
+    pub normals: Vec<[f32; 3]>,
+    /// Linear RGBA, 8 bits a channel, one a position: vertex colour times base colour factor
+    /// times the mean of the base colour texture, that mean taken in linear light.
+    pub colors: Vec<[u8; 4]>,
+    /// Triangles, counter-clockwise seen from the front. None at all, if every triangle that the
+    /// file holds is degenerate.
+    pub indices: Vec<[u32; 3]>,
+    /// Triangles the file holds that are left out of `indices` because they are exactly
+    /// degenerate.
+    pub dropped_degenerate: u64,
+}
+
+impl SourceMesh {
+    /// Triangles the file holds for this mesh, the dropped ones counted.
+    pub fn triangles(&self) -> u64 {
+        self.indices.len() as u64 + self.dropped_degenerate
+    }
+}
+
+/// One placed mesh.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SourceObject {
+    /// The file's own name for it, or a made-up one that says where it stands ("node 7").
+    pub name: String,
+    /// Which of [`Source::meshes`] it shows.
+    pub mesh: usize,
+    /// Where it stands: finite, and invertible in exact arithmetic (its determinant is not zero).
+    /// See [`SourceObject::is_mirrored`].
+    pub world_from_mesh: glam::DAffine3,
+}
+
+impl SourceObject {
+    /// Whether the transform is a reflection. A mesh is shared by objects of both kinds, so its
+    /// indices stay as they are; whoever maps it to the world exchanges two indices of every
+    /// triangle of a mirrored object. Normals need no such care: the inverse transpose keeps them
+    /// on the outside.
+    pub fn is_mirrored(&self) -> bool {
+        self.world_from_mesh.matrix3.determinant() < 0.0
+    }
+}
+
+/// A whole source scene.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Source {
+    /// Distinct meshes, each used by at least one object: in the file's order, then those an
+    /// importer had to make for single objects.
+    pub meshes: Vec<SourceMesh>,
+    /// Objects, in the order of a depth-first walk over the file's nodes.
+    pub objects: Vec<SourceObject>,
+    /// The up direction of the scene's axes, unit length.
+    pub up: [f64; 3],
+    /// What was skipped or simplified, one sentence each, for the summary.
+    pub notes: Vec<String>,
+}
+
+impl Source {
+    /// Triangles the file shows: each instance counted, degenerate ones too.
+    pub fn triangles(&self) -> u64 {
+        self.objects.iter().map(|object| self.meshes[object.mesh].triangles()).sum()
+    }
+
+    /// Triangles the file holds: each mesh counted once, degenerate ones too.
+    pub fn unique_triangles(&self) -> u64 {
+        self.meshes.iter().map(SourceMesh::triangles).sum()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_empty_scene_counts_nothing() {
+        assert_eq!(Source::default().triangles(), 0);
+        assert_eq!(Source::default().unique_triangles(), 0);
+    }
+
+    #[test]
+    fn instances_count_each_and_unique_triangles_once() {
+        let mesh = SourceMesh {
+            indices: vec![[0, 1, 2]; 3],
+            dropped_degenerate: 2,
+            ..SourceMesh::default()
+        };
+        let object = SourceObject {
+            name: String::new(),
+            mesh: 0,
+            world_from_mesh: glam::DAffine3::IDENTITY,
+        };
+        let source = Source {
+            meshes: vec![mesh],
+            objects: vec![object.clone(), object.clone(), object],
+            ..Source::default()
+        };
+        assert_eq!(source.triangles(), 15);
+        assert_eq!(source.unique_triangles(), 5);
+    }
+}

@@ -1,0 +1,9 @@
+//! The wgpu backend on whatever adapter there is. `GPU_TESTS=require` fails without one, `off` skips,
+//! `auto` (the default) skips and says so.
+
+mod against_cpu;
+mod boxes;
+mod degenerate;
+mod memory;
+mod pictures;
+mod support;

@@ -1,0 +1,155 @@
+//! Colours of pixels, from the triangle that owns each.
+//!
+//! Attributes are interpolated with perspective from barycentric coordinates of the pixel's ray in clip
+//! space (Olano and Greer 1997), so no clipped triangle needs attributes of its own.
+
+use super::mesh::Mesh;
+use super::project::{Projection, Rows, apply, cross, dot};
+use crate::backend::{Draw, light};
+use protocol::format::Vertex;
+
+/// sRGB encoding of linear values to 8 bits, rounded to nearest.
+pub(super) struct SrgbEncoder {
+    /// `thresholds[k]`: the least linear value that is encoded as more than `k`.
+    thresholds: Vec<f32>,
+    /// Code of the least value of each of [`SrgbEncoder::CELLS`] cells.
+    first: Vec<u8>,
+}
+
+impl SrgbEncoder {
+    /// Cells of [0, 1]: at most one threshold in each.
+    const CELLS: usize = 4096;
+
+    pub(super) fn new() -> Self {
+        let decode = |s: f64| {
+            if s <= 0.04045 { s / 12.92 } else { ((s + 0.055) / 1.055).powf(2.4) }
+        };
+        let thresholds: Vec<f32> =
+            (0..255).map(|k| decode((f64::from(k) + 0.5) / 255.0) as f32).collect();
+        let code = |linear: f32| thresholds.partition_point(|&t| t <= linear) as u8;
+        let first = (0..Self::CELLS).map(|i| code(i as f32 / Self::CELLS as f32)).collect();
+        Self { thresholds, first }
+    }
+
+    /// The code of a linear value; values outside [0, 1] are clamped, NaN is 0.
+    pub(super) fn encode(&self, linear: f32) -> u8 {
+        let cell = (linear * Self::CELLS as f32) as usize;
+        let Some(&first) = self.first.get(cell) else {
+            return u8::MAX;
+        };
+        let next = self.thresholds.get(usize::from(first));
+        first + u8::from(next.is_some_and(|&threshold| linear >= threshold))
+    }
+
+    /// An opaque pixel.
+    pub(super) fn encode_rgba(&self, linear: [f32; 3]) -> [u8; 4] {
+        let [r, g, b] = linear.map(|c| self.encode(c));
+        [r, g, b, u8::MAX]
+    }
+}
+
+/// What the triangles of one draw share.
+pub(super) struct Placement {
+    clip_from_grid: Rows,
+    /// Columns of the linear part's inverse transpose, up to a factor.
+    normal_from_mesh: [[f64; 3]; 3],
+}
+
+impl Placement {
+    pub(super) fn new(projection: &Projection, draw: &Draw) -> Self {
+        let [x, y, z] = draw.linear.map(|column| column.map(f64::from));
+        Self {
+            clip_from_grid: projection.clip_from_grid(draw),
+            normal_from_mesh: [cross(y, z), cross(z, x), cross(x, y)],
+        }
+    }
+}
+
+/// A triangle, ready to be shaded at any pixel.
+pub(super) struct Surface {
+    /// Normals of the planes through the eye and an edge, in clip space: their products with a ray are
+    /// in proportion to the barycentric coordinates.
+    edges: [[f64; 3]; 3],
+    normals: [[f32; 3]; 3],
+    colors: [[f32; 3]; 3],
+}
+
+impl Surface {
+    pub(super) fn new(placement: &Placement, mesh: &Mesh, triangle: u32) -> Self {
+        let corners = mesh.triangles[triangle as usize].map(|i| mesh.vertices[usize::from(i)]);
+        let [a, b, c] =
+            corners.map(|vertex| apply(&placement.clip_from_grid, vertex.grid().map(f64::from)));
+        let [x, y, z] = placement.normal_from_mesh;
+        let normal = |vertex: Vertex| {
+            let n = Vertex::unpack_normal(vertex.normal).map(f64::from);
+            let turned = std::array::from_fn(|k| x[k] * n[0] + y[k] * n[1] + z[k] * n[2]);
+            unit(turned).map(|c| c as f32)
+        };
+        Self {
+            edges: [cross(b, c), cross(c, a), cross(a, b)],
+            normals: corners.map(normal),
+            colors: corners.map(|vertex| {
+                let [r, g, b, _] = vertex.color.to_le_bytes();
+                [r, g, b].map(|c| f32::from(c) / 255.0)
+            }),
+        }
+    }
+
+    /// Linear colour at normalised device coordinates, seen along `ray` (eye-relative, any length).
+    pub(super) fn color(&self, [x, y]: [f64; 2], ray: [f64; 3]) -> [f32; 3] {
+        let weights = barycentric(self.edges.map(|edge| dot(edge, [x, y, 1.0])));
+        let blend = |of: &[[f32; 3]; 3]| -> [f32; 3] {
+            std::array::from_fn(|k| {
+                of[0][k] * weights[0] + of[1][k] * weights[1] + of[2][k] * weights[2]
+            })
+        };
+        let mut normal = unit(blend(&self.normals).map(f64::from));
+        if dot(normal, ray) > 0.0 {
+            normal = normal.map(|c| -c);
+        }
+        let light = light::intensity(normal.map(|c| c as f32));
+        blend(&self.colors).map(|c| c * light)
+    }
+}
+
+/// Shares of the corners; a snapped pixel may lie a little outside, where the nearest are taken.
+fn barycentric(products: [f64; 3]) -> [f32; 3] {
+    let sum: f64 = products.iter().sum();
+    let inside = products.map(|p| (p / sum).max(0.0));
+    let sum: f64 = inside.iter().sum();
+    if sum.is_finite() && sum > 0.0 { inside.map(|p| (p / sum) as f32) } else { [1.0 / 3.0; 3] }
+}
+
+/// The unit vector along `v`; zero for zero.
+fn unit(v: [f64; 3]) -> [f64; 3] {
+    let length = dot(v, v).sqrt();
+    if length > 0.0 { v.map(|c| c / length) } else { [0.0; 3] }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn srgb_is_rounded_to_nearest() {
+        let encoder = SrgbEncoder::new();
+        for (value, code) in [(-1.0, 0), (f32::NAN, 0), (0.0, 0), (1.0, 255), (7.0, 255)] {
+            assert_eq!(encoder.encode(value), code, "{value}");
+        }
+        for i in 0..=100_000 {
+            let linear = i as f32 / 100_000.0;
+            let l = f64::from(linear);
+            let s = if l <= 0.0031308 { 12.92 * l } else { 1.055 * l.powf(1.0 / 2.4) - 0.055 };
+            let off = (f64::from(encoder.encode(linear)) - s * 255.0).abs();
+            assert!(off < 0.5 + 1e-3, "{linear} {off}");
+        }
+    }
+
+    #[test]
+    fn degenerate_shares_are_even() {
+        assert_eq!(barycentric([0.0; 3]), [1.0 / 3.0; 3]);
+        assert_eq!(barycentric([f64::NAN, 1.0, 1.0]), [1.0 / 3.0; 3]);
+        assert_eq!(barycentric([-1.0, -1.0, -2.0]), [0.25, 0.25, 0.5]);
+        assert_eq!(barycentric([-1e-9, 1.0, 0.0]), [0.0, 1.0, 0.0]);
+    }
+}

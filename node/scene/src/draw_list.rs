@@ -1,0 +1,109 @@
+//! From front entries to draws.
+
+use crate::backend::Draw;
+use crate::front::FrontEntry;
+use protocol::format::Skeleton;
+use protocol::id::BlobId;
+
+/// The draws of `entries` for an eye, ordered by (blob, hlod), so that instances of a mesh follow each
+/// other.
+///
+/// The order depends on nothing but the two ids: a culled list is the unculled one with draws left
+/// out. Where two surfaces have the same depth the later draw wins (GreaterEqual), and draws that are
+/// hidden everywhere win nowhere, so both lists give the same picture, bit for bit.
+///
+/// Draws too far away for f32 are left out: they cover no pixel.
+pub fn draw_list(skeleton: &Skeleton, entries: &[FrontEntry], eye: [f64; 3]) -> Vec<Draw> {
+    let mut draws: Vec<Draw> = entries
+        .iter()
+        .map(|entry| draw_of(skeleton, entry, eye))
+        .filter(|draw| {
+            draw.linear.iter().flatten().chain(&draw.offset).all(|number| number.is_finite())
+        })
+        .collect();
+    draws.sort_unstable_by_key(|draw| (draw.blob, draw.item));
+    draws
+}
+
+fn draw_of(skeleton: &Skeleton, entry: &FrontEntry, eye: [f64; 3]) -> Draw {
+    let level = &skeleton.levels[entry.level as usize];
+    let blob = BlobId(level.blob);
+    let mesh = skeleton.blob(blob);
+    let placement = skeleton.transform_of(level);
+    let origin = placement.apply(mesh.origin);
+    Draw {
+        blob,
+        item: entry.hlod,
+        linear: placement.linear.map(|column| column.map(|c| (c * mesh.step) as f32)),
+        offset: std::array::from_fn(|k| (origin[k] - eye[k]) as f32),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::front::front;
+    use crate::random_scene::RandomScene;
+    use protocol::settings::PictureSize;
+    use rand::Rng;
+
+    #[test]
+    fn a_culled_list_is_the_whole_one_with_draws_left_out() {
+        let mut scene = RandomScene::new(7, 4, 64.0);
+        let camera = scene.camera();
+        let size = PictureSize { width: 64, height: 64 };
+        // Some share a mesh.
+        for level in &mut scene.skeleton.levels {
+            level.blob %= 7;
+        }
+        let entries = front(&scene.skeleton, &camera, size, 0.0).entries;
+        assert!(draw_list(&scene.skeleton, &[], camera.eye).is_empty());
+        let all = draw_list(&scene.skeleton, &entries, camera.eye);
+        assert!(all.len() > 10 && all.is_sorted_by_key(|draw| (draw.blob, draw.item)));
+        let some: Vec<_> = entries.iter().filter(|_| scene.rng.random_bool(0.5)).copied().collect();
+        let culled = draw_list(&scene.skeleton, &some, camera.eye);
+        let mut rest = all.iter();
+        assert!(culled.iter().all(|draw| rest.any(|other| other == draw)));
+    }
+
+    #[test]
+    fn a_moved_scene_is_drawn_alike() {
+        let mut scene = RandomScene::new(6, 2, 64.0);
+        let camera = scene.camera();
+        let eye = camera.eye.map(|c| (c * 1024.0).floor() / 1024.0);
+        let everything: Vec<_> = (0..scene.skeleton.hlods.len() as u32)
+            .map(|id| FrontEntry {
+                hlod: protocol::id::HlodId(id),
+                level: scene.skeleton.hlods[id as usize].first_level,
+            })
+            .filter(|entry| scene.skeleton.hlod(entry.hlod).level_count > 0)
+            .collect();
+        let here = draw_list(&scene.skeleton, &everything, eye);
+        let away = |c: f64| c + f64::from(1 << 23);
+        for level in &mut scene.skeleton.levels {
+            level.transform = protocol::format::NONE;
+        }
+        let unplaced = draw_list(&scene.skeleton, &everything, eye);
+        assert_ne!(here, unplaced);
+        for blob in &mut scene.skeleton.blobs {
+            blob.origin = blob.origin.map(away);
+        }
+        for (a, b) in draw_list(&scene.skeleton, &everything, eye.map(away)).iter().zip(&unplaced) {
+            assert_eq!((a.linear, a.item), (b.linear, b.item));
+            assert!((0..3).all(|k| (a.offset[k] - b.offset[k]).abs() < 1e-6));
+        }
+    }
+
+    #[test]
+    fn nothing_that_is_not_finite_is_drawn() {
+        let mut scene = RandomScene::new(6, 1, 1.0);
+        let count = scene.skeleton.levels.len();
+        scene.skeleton.blobs[0].origin[1] = 1e300;
+        scene.skeleton.blobs[1].step = f64::INFINITY;
+        let entries: Vec<_> = (0..count as u32)
+            .map(|level| FrontEntry { hlod: protocol::id::HlodId(level), level })
+            .collect();
+        let draws = draw_list(&scene.skeleton, &entries, [0.0; 3]);
+        assert_eq!(draws.len(), count - 2);
+    }
+}

@@ -1,0 +1,86 @@
+//! A small scene file for tests: a root with a stand-in over a plain leaf and an instance.
+
+use crate::store::Store;
+use bytemuck::Zeroable;
+use protocol::format::{Finished, Hlod, Level, NONE, SceneInfo, SceneWriter, Transform, Vertex};
+use std::path::Path;
+use tempfile::TempDir;
+
+/// Writes the scene: unit cubes at 0 and, turned a quarter about z, at `[4, 5]`.
+pub(crate) fn write(path: &Path) -> Finished {
+    write_with(path, 1, |_| ())
+}
+
+/// Writes the scene with another seed.
+pub(crate) fn write_other(path: &Path) -> Finished {
+    write_with(path, 2, |_| ())
+}
+
+/// Writes the scene after a change of its hlods.
+pub(crate) fn write_with(path: &Path, seed: u64, change: impl FnOnce(&mut [Hlod])) -> Finished {
+    let mut writer = SceneWriter::create(path).unwrap();
+    let grid = |points: &[[u32; 3]]| -> Vec<Vertex> {
+        let vertex = |&p| Vertex { position: Vertex::pack_position(p), normal: 0, color: !0 };
+        points.iter().map(vertex).collect()
+    };
+    let corner = grid(&[[0, 0, 0], [4, 0, 0], [0, 4, 0], [0, 0, 4]]);
+    let indices = [0, 1, 2, 0, 2, 3];
+    let fine = writer.add_blob([0.0; 3], 0.25, &corner, &indices).unwrap().0;
+    let wide = grid(&[[0, 0, 0], [5, 0, 0], [0, 1, 1]]);
+    let coarse = writer.add_blob([0.0; 3], 1.0, &wide, &[2, 1, 0]).unwrap().0;
+
+    let leaf = Hlod {
+        min: [0.0; 3],
+        max: [1.0; 3],
+        parent: 0,
+        first_level: 1,
+        level_count: 1,
+        source_triangles: 2,
+        ..Hlod::zeroed()
+    };
+    let root = Hlod {
+        max: [5.0, 1.0, 1.0],
+        parent: NONE,
+        first_child: 1,
+        child_count: 2,
+        first_level: 0,
+        object: NONE,
+        source_triangles: 4,
+        ..leaf
+    };
+    let instance =
+        Hlod { min: [4.0, 0.0, 0.0], max: [5.0, 1.0, 1.0], first_level: 2, object: 1, ..leaf };
+    let level = |error, blob, transform, triangles| Level {
+        error,
+        blob,
+        transform,
+        triangles,
+        reserved: 0,
+    };
+    let levels =
+        vec![level(0.5, coarse, NONE, 1), level(0.0, fine, NONE, 2), level(0.0, fine, 0, 2)];
+    let quarter = Transform {
+        linear: [[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]],
+        translation: [5.0, 0.0, 0.0],
+    };
+    let info = SceneInfo {
+        up: [0.0, 0.0, 1.0],
+        source_triangles: 4,
+        unique_triangles: 2,
+        objects: 2,
+        seed,
+        ..SceneInfo::zeroed()
+    };
+    let mut hlods = vec![root, leaf, instance];
+    change(&mut hlods);
+    writer.finish(info, hlods, levels, vec![quarter]).unwrap()
+}
+
+/// The scene, opened; it lives as long as the folder.
+pub(crate) fn store() -> (TempDir, Store) {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("scene.occ");
+    write(&path);
+    let store = Store::open(&path).unwrap();
+    (folder, store)
+}

@@ -1,0 +1,14 @@
+//! The baked scene at run time, without a GPU: what is near, what may be hidden, what to draw.
+
+pub mod backend;
+pub mod draw_list;
+#[cfg(test)]
+mod fixture;
+pub mod front;
+pub mod occludee;
+pub mod occluders;
+#[cfg(test)]
+mod random_scene;
+pub mod store;
+pub mod verify;
+pub mod view;

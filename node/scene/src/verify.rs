@@ -1,0 +1,253 @@
+//! Everything that can be checked about a scene file, checked: the `verify` verb.
+//!
+//! Opening has checked the header, every checksum of the skeleton and every rule of
+//! [`protocol::format::check()`]; this reads all the rest.
+
+use crate::store::{Store, StoreError};
+use protocol::format::mesh::vertices_of;
+use protocol::format::{Blob, Hlod, Level, Transform, Vertex, Violation, check, digest};
+use protocol::id::{BlobId, HlodId};
+use rayon::prelude::*;
+use std::path::PathBuf;
+
+/// What a sound file holds.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Verified {
+    /// Bytes of the file.
+    pub bytes: u64,
+    /// Hlods whose boxes were held against their geometry.
+    pub hlods: u64,
+    /// Meshes whose contents were read.
+    pub blobs: u64,
+    /// Levels whose vertices were placed.
+    pub levels: u64,
+    /// Vertices that lie in their box, a mesh counted for each level that shows it.
+    pub vertices: u64,
+}
+
+/// What is wrong with a scene file (exit code 65).
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum VerifyError {
+    /// A blob is damaged.
+    #[error(transparent)]
+    Blob(#[from] StoreError),
+    /// Bytes changed that no other check covers.
+    #[error("{}: the digest does not match the contents; copy or bake the file again", path.display())]
+    Digest {
+        /// The file.
+        path: PathBuf,
+    },
+    /// Bytes between blobs are not zero.
+    #[error("{}: the padding behind blob {blob} is not zero; copy or bake the file again", path.display())]
+    Padding {
+        /// The file.
+        path: PathBuf,
+        /// The blob.
+        blob: BlobId,
+    },
+    /// The skeleton breaks a rule.
+    #[error("{}: the scene breaks a rule at {source}; bake it again", path.display())]
+    Rule {
+        /// The file.
+        path: PathBuf,
+        /// The rule.
+        source: Violation,
+    },
+    /// Geometry leaves its box, so culling could lose it.
+    #[error(
+        "{}: vertex {vertex} of level {level} of hlod {hlod} lies outside its box; bake the scene again",
+        path.display()
+    )]
+    OutsideBox {
+        /// The file.
+        path: PathBuf,
+        /// The hlod.
+        hlod: HlodId,
+        /// Which of the hlod's levels, 0 the finest.
+        level: u32,
+        /// The vertex.
+        vertex: u32,
+    },
+}
+
+/// Reads the whole file and checks everything. Of several faults the same one is always reported.
+pub fn verify(store: &Store) -> Result<Verified, VerifyError> {
+    let path = || store.path().to_path_buf();
+    let skeleton = store.skeleton();
+    check(skeleton).map_err(|source| VerifyError::Rule { path: path(), source })?;
+
+    // Blobs come before the digest: they say where the damage is, it only says that there is some.
+    let ids = (0..skeleton.blobs.len() as u32).into_par_iter().map(BlobId);
+    first_error(ids.map(|id| check_blob_and_padding(store, id)))?;
+    if digest(store.bytes()) != Some(store.digest()) {
+        return Err(VerifyError::Digest { path: path() });
+    }
+    let hlods = skeleton.hlods.par_iter().enumerate();
+    let counts = first_error(hlods.map(|(i, hlod)| check_box(store, HlodId(i as u32), hlod)))?;
+    Ok(Verified {
+        bytes: store.bytes().len() as u64,
+        hlods: skeleton.hlods.len() as u64,
+        blobs: skeleton.blobs.len() as u64,
+        levels: skeleton.levels.len() as u64,
+        vertices: counts.iter().sum(),
+    })
+}
+
+/// All results, or the error that comes first in the table, whatever the threads do.
+fn first_error<T: Send>(
+    results: impl IndexedParallelIterator<Item = Result<T, VerifyError>>,
+) -> Result<Vec<T>, VerifyError> {
+    let mut all = Vec::new();
+    results.collect_into_vec(&mut all);
+    all.into_iter().collect()
+}
+
+fn check_blob_and_padding(store: &Store, id: BlobId) -> Result<(), VerifyError> {
+    store.blob(id)?;
+    let blob = store.skeleton().blob(id);
+    let next = store.skeleton().blobs.get(id.index() + 1).map(|b| b.offset as usize);
+    let end = next.unwrap_or(store.geometry().len());
+    let padding = &store.geometry()[(blob.offset + blob.bytes) as usize..end];
+    if padding.iter().any(|&b| b != 0) {
+        return Err(VerifyError::Padding { path: store.path().to_path_buf(), blob: id });
+    }
+    Ok(())
+}
+
+/// Places every vertex of every level; returns how many.
+///
+/// A hlod's box lies inside its parent's, so its own levels suffice.
+fn check_box(store: &Store, id: HlodId, hlod: &Hlod) -> Result<u64, VerifyError> {
+    let skeleton = store.skeleton();
+    let mut count = 0;
+    for (level_index, level) in skeleton.levels_of(hlod).iter().enumerate() {
+        let Level { blob, .. } = *level;
+        let (mesh, bytes) = (skeleton.blob(BlobId(blob)), store.blob(BlobId(blob))?);
+        let transform = skeleton.transform_of(level);
+        let stray = |v: Vertex| !holds(hlod, &transform, position(mesh, &v));
+        if let Some(vertex) = vertices_of(mesh, bytes).position(stray) {
+            return Err(VerifyError::OutsideBox {
+                path: store.path().to_path_buf(),
+                hlod: id,
+                level: level_index as u32,
+                vertex: vertex as u32,
+            });
+        }
+        count += u64::from(mesh.vertices);
+    }
+    Ok(count)
+}
+
+/// Mesh-space position of a vertex.
+fn position(blob: &Blob, vertex: &Vertex) -> [f64; 3] {
+    let grid = vertex.grid();
+    std::array::from_fn(|k| blob.origin[k] + f64::from(grid[k]) * blob.step)
+}
+
+/// The placed point lies in the box, but for rounding.
+///
+/// A coordinate is a sum of three products and a shift of `p`, itself a sum: each term meets at most
+/// five roundings, so it is off by less than 6u of the sum of magnitudes, u = 2^-53 (Higham 2002,
+/// section 3.1). Whoever made the box may have rounded as much the other way: 12u < 8 EPSILON.
+fn holds(hlod: &Hlod, transform: &Transform, p: [f64; 3]) -> bool {
+    let placed = transform.apply(p);
+    (0..3).all(|k| {
+        let terms = (0..3).map(|j| (transform.linear[j][k] * p[j]).abs());
+        let slack = 8.0 * f64::EPSILON * (terms.sum::<f64>() + transform.translation[k].abs());
+        hlod.min[k] - slack <= placed[k] && placed[k] <= hlod.max[k] + slack
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fixture;
+
+    /// The error after the fixture's boxes were changed before it was written.
+    fn with_hlods(change: impl FnOnce(&mut [Hlod])) -> Result<Verified, VerifyError> {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("scene.occ");
+        fixture::write_with(&path, 1, change);
+        verify(&Store::open(&path).unwrap())
+    }
+
+    #[test]
+    fn a_sound_file_is_counted() {
+        let (_folder, store) = fixture::store();
+        let verified = verify(&store).unwrap();
+        assert_eq!(verified.bytes, store.bytes().len() as u64);
+        assert_eq!((verified.hlods, verified.blobs, verified.levels), (3, 2, 3));
+        assert_eq!(verified.vertices, 3 + 4 + 4);
+    }
+
+    #[test]
+    fn every_flipped_bit_is_found() {
+        let (folder, store) = fixture::store();
+        let sound = store.bytes().to_vec();
+        let path = folder.path().join("flipped.occ");
+        for at in 0..sound.len() {
+            let mut bytes = sound.clone();
+            bytes[at] ^= 1 << (at % 8);
+            std::fs::write(&path, &bytes).unwrap();
+            let found = Store::open(&path)
+                .is_err_and(|e| matches!(e, crate::store::OpenError::Bad { .. }))
+                || Store::open(&path).is_ok_and(|s| verify(&s).is_err());
+            assert!(found, "byte {at}");
+        }
+    }
+
+    #[test]
+    fn nonzero_padding_is_named() {
+        let (folder, store) = fixture::store();
+        let mut bytes = store.bytes().to_vec();
+        let blob = store.skeleton().blobs[0];
+        bytes[256 + (blob.offset + blob.bytes) as usize] = 1;
+        let path = folder.path().join("padded.occ");
+        std::fs::write(&path, &bytes).unwrap();
+        let error = verify(&Store::open(&path).unwrap()).unwrap_err();
+        assert!(matches!(error, VerifyError::Padding { blob: BlobId(0), .. }), "{error}");
+    }
+
+    #[test]
+    fn a_false_digest_is_named() {
+        let (folder, store) = fixture::store();
+        let mut bytes = store.bytes().to_vec();
+        bytes[40] ^= 1;
+        bytes[28..32].fill(0);
+        let crc = crc32c(&bytes[..256]);
+        bytes[28..32].copy_from_slice(&crc.to_le_bytes());
+        let path = folder.path().join("renamed.occ");
+        std::fs::write(&path, &bytes).unwrap();
+        let error = verify(&Store::open(&path).unwrap()).unwrap_err();
+        assert!(matches!(error, VerifyError::Digest { .. }), "{error}");
+    }
+
+    /// CRC32C bit by bit: a second opinion on the header's checksum.
+    fn crc32c(bytes: &[u8]) -> u32 {
+        !bytes.iter().fold(!0u32, |crc, &byte| {
+            (0..8).fold(crc ^ u32::from(byte), |c, _| {
+                (c >> 1) ^ (0x82f6_3b78 & (c & 1).wrapping_neg())
+            })
+        })
+    }
+
+    #[test]
+    fn geometry_outside_its_box_is_named() {
+        let outside = |hlods: fn(&mut [Hlod])| match with_hlods(hlods) {
+            Err(VerifyError::OutsideBox { hlod, level, vertex, .. }) => (hlod.0, level, vertex),
+            other => panic!("{other:?}"),
+        };
+        // The turned instance: its second vertex lies at y = 1, its third at x = 4.
+        assert_eq!(outside(|h| h[2].max[1] = 0.999), (2, 0, 1));
+        assert_eq!(outside(|h| h[2].min[0] = 4.001), (2, 0, 2));
+        assert_eq!(outside(|h| h[1].max[2] = 0.5), (1, 0, 3));
+        // The least reported is the first in the table.
+        assert_eq!(outside(|h| (h[1].max[2], h[2].max[1]) = (0.5, 0.5)), (1, 0, 3));
+    }
+
+    #[test]
+    fn rounding_of_a_box_is_forgiven_and_no_more() {
+        assert!(with_hlods(|h| h[2].max[1] = 1.0 - f64::EPSILON).is_ok());
+        assert!(with_hlods(|h| h[2].max[1] = 1.0 - 1e-12).is_err());
+    }
+}

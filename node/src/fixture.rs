@@ -1,0 +1,103 @@
+//! A small scene file for tests: a root over solid boxes, all instances of one cube.
+
+use protocol::format::{Finished, Hlod, Level, NONE, SceneInfo, SceneWriter, Transform, Vertex};
+use std::path::Path;
+
+/// A solid box, and the bounds its hlod claims, which may be wider.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Piece {
+    /// Corners of the solid.
+    pub(crate) solid: [[f64; 3]; 2],
+    /// Corners of the hlod's bounds.
+    pub(crate) bounds: [[f64; 3]; 2],
+}
+
+impl Piece {
+    /// A box within tight bounds.
+    pub(crate) fn tight(min: [f64; 3], max: [f64; 3]) -> Self {
+        Self { solid: [min, max], bounds: [min, max] }
+    }
+}
+
+/// A street along x with a wall on its far side and a lattice of 5 x 4 x 3 boxes behind the wall,
+/// some of them touching it.
+pub(crate) fn street() -> Vec<Piece> {
+    let mut pieces = Vec::new();
+    for i in 0..6 {
+        let x = f64::from(i) * 4.0;
+        pieces.push(Piece::tight([x, 5.0, 0.0], [x + 4.0, 6.0, 5.0]));
+    }
+    for (i, j, k) in (0..60).map(|n| (n % 5, n / 5 % 4, n / 20)) {
+        let at = [f64::from(i) * 5.0 + 0.5, f64::from(j) * 3.0 + 6.0, f64::from(k) * 1.5];
+        pieces.push(Piece::tight(at, at.map(|c| c + 1.25)));
+    }
+    pieces
+}
+
+/// Writes the scene of `pieces`; each is a leaf whose item id is its place plus 1.
+pub(crate) fn write(path: &Path, pieces: &[Piece]) -> Finished {
+    let mut writer = SceneWriter::create(path).unwrap();
+    let corner = |bits: u32| [bits & 1, bits >> 1 & 1, bits >> 2];
+    let vertex = |bits| Vertex {
+        position: Vertex::pack_position(corner(bits)),
+        normal: Vertex::pack_normal(corner(bits).map(|c| c as f32 - 0.5)),
+        color: 0xff00_0000 | (0x20_3040 * (bits + 1)),
+    };
+    let vertices: Vec<Vertex> = (0..8).map(vertex).collect();
+    // Two triangles for each face: corner bits that differ along two axes, the third fixed.
+    let mut indices = Vec::new();
+    for (fixed, u, v) in [(1, 2, 4), (2, 1, 4), (4, 1, 2)] {
+        for base in [0, fixed] {
+            indices.extend([base, base | u, base | v, base | u, base | u | v, base | v]);
+        }
+    }
+    let blob = writer.add_blob([0.0; 3], 1.0, &vertices, &indices).unwrap().0;
+    let triangles = (indices.len() / 3) as u32;
+    let all = triangles * pieces.len() as u32;
+    let extreme = |pick: fn(f64, f64) -> f64, corner: usize| {
+        let corners = pieces.iter().map(|piece| piece.bounds[corner]);
+        corners.reduce(|a, b| std::array::from_fn(|k| pick(a[k], b[k]))).unwrap()
+    };
+    let mut hlods = vec![Hlod {
+        min: extreme(f64::min, 0),
+        max: extreme(f64::max, 1),
+        parent: NONE,
+        first_child: 1,
+        child_count: pieces.len() as u32,
+        first_level: 0,
+        level_count: 0,
+        object: NONE,
+        source_triangles: u64::from(all),
+    }];
+    let (mut levels, mut transforms) = (Vec::new(), Vec::new());
+    for (place, piece) in (0..).zip(pieces) {
+        let [min, max] = piece.solid;
+        let mut linear = [[0.0; 3]; 3];
+        for k in 0..3 {
+            linear[k][k] = max[k] - min[k];
+        }
+        transforms.push(Transform { linear, translation: min });
+        levels.push(Level { error: 0.0, blob, transform: place, triangles, reserved: 0 });
+        hlods.push(Hlod {
+            min: piece.bounds[0],
+            max: piece.bounds[1],
+            parent: 0,
+            first_child: 0,
+            child_count: 0,
+            first_level: place,
+            level_count: 1,
+            object: place,
+            source_triangles: u64::from(triangles),
+        });
+    }
+    let info = SceneInfo {
+        up: [0.0, 0.0, 1.0],
+        source_triangles: u64::from(all),
+        unique_triangles: u64::from(triangles),
+        objects: pieces.len() as u32,
+        reserved: 0,
+        seed: 1,
+        reserved2: 0,
+    };
+    writer.finish(info, hlods, levels, transforms).unwrap()
+}

@@ -1,0 +1,66 @@
+//! Which geometry the backend holds: read from the store at first need.
+
+use protocol::id::BlobId;
+use protocol::telemetry::IoCounts;
+use scene::backend::{Backend, Draw};
+use scene::store::Store;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Instant;
+
+use crate::role::RoleError;
+
+/// Marks what the backend holds and counts what had to be read.
+pub(crate) struct Residency {
+    held: Vec<bool>,
+    bytes: Arc<AtomicU64>,
+    counts: IoCounts,
+}
+
+impl Residency {
+    /// Nothing is held of a scene of `blobs` meshes; `bytes` follows what is.
+    pub(crate) fn new(blobs: usize, bytes: Arc<AtomicU64>) -> Self {
+        Self { held: vec![false; blobs], bytes, counts: IoCounts::default() }
+    }
+
+    /// Uploads what `draws` need and the backend lacks. A mesh that several draws share counts once
+    /// for each.
+    pub(crate) fn ensure(
+        &mut self,
+        store: &Store,
+        backend: &mut dyn Backend,
+        draws: &[Draw],
+    ) -> Result<(), RoleError> {
+        for draw in draws {
+            if self.held[draw.blob.index()] {
+                self.counts.hits += 1;
+            } else {
+                self.load(store, backend, draw.blob)?;
+            }
+        }
+        Ok(())
+    }
+
+    fn load(
+        &mut self,
+        store: &Store,
+        backend: &mut dyn Backend,
+        id: BlobId,
+    ) -> Result<(), RoleError> {
+        let began = Instant::now();
+        let bytes = store.blob(id)?;
+        let blob = store.skeleton().blob(id);
+        backend.upload(id, blob.vertices, blob.triangles, bytes)?;
+        self.held[id.index()] = true;
+        self.bytes.fetch_add(blob.bytes, Ordering::Relaxed);
+        self.counts.misses += 1;
+        self.counts.bytes_read += blob.bytes;
+        self.counts.stall_ns += began.elapsed().as_nanos() as u64;
+        Ok(())
+    }
+
+    /// What was counted since the last call.
+    pub(crate) fn take_counts(&mut self) -> IoCounts {
+        std::mem::take(&mut self.counts)
+    }
+}

@@ -1,0 +1,215 @@
+//! The render thread: opens the scene, then does one role's work after another.
+
+use crate::choose::choose_backend;
+use crate::pictures::PictureWriter;
+use crate::resident::Residency;
+use crate::role::audit::{self, Measured};
+use crate::role::{Stage, hardware_cull, occlusion_representation, render_visible_geometry};
+use crate::runner::Event;
+use crate::telemetry::Clock;
+use crate::{NodeError, role};
+use protocol::camera::Camera;
+use protocol::id::FrameIndex;
+use protocol::message::FailureKind;
+use protocol::session::node::WorkTimes;
+use protocol::settings::RunSettings;
+use protocol::telemetry::{BackendInfo, CullCounts, DrawCounts, IoCounts};
+use protocol::visible::VisibleSet;
+use scene::store::Store;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use tokio::sync::{mpsc, oneshot};
+
+/// Jobs that may wait: a phase has one, and one more that prepares it.
+const QUEUED: usize = 8;
+
+/// What the render thread is told to do.
+pub(crate) enum Job {
+    /// Open the scene and start the backend.
+    Open { settings: RunSettings },
+    /// Make the front of a camera that is about to be needed.
+    Foresee { camera: Camera },
+    /// OR: make the depth of `frame`.
+    Occlude { frame: FrameIndex, camera: Camera, occluders: Arc<VisibleSet> },
+    /// HC: find V_frame.
+    Cull { frame: FrameIndex, camera: Camera },
+    /// RVG: draw the picture of `frame`.
+    Render { frame: FrameIndex, camera: Camera, visible: Arc<VisibleSet> },
+}
+
+/// The scene and backend that were opened.
+pub(crate) struct Opened {
+    /// Digest of the scene file.
+    pub(crate) scene_digest: [u8; 32],
+    /// The renderer.
+    pub(crate) backend: BackendInfo,
+}
+
+/// What the render thread says.
+pub(crate) enum Done {
+    /// Open is done.
+    Opened(Opened),
+    /// OR is done.
+    Occluded { frame: FrameIndex, times: WorkTimes, counts: DrawCounts },
+    /// HC knows a part of V_frame.
+    CulledPart { frame: FrameIndex, part: hardware_cull::Part },
+    /// HC is done.
+    Culled { frame: FrameIndex, times: WorkTimes, counts: CullCounts },
+    /// RVG is done.
+    Rendered { frame: FrameIndex, times: WorkTimes, counts: DrawCounts },
+    /// The thread has ended.
+    Failed(NodeError),
+}
+
+/// A handle on the render thread.
+pub(crate) struct Worker {
+    jobs: Option<crossbeam_channel::Sender<Job>>,
+    ended: Option<oneshot::Receiver<Result<(), NodeError>>>,
+    resident_bytes: Arc<AtomicU64>,
+}
+
+impl Worker {
+    /// Starts the thread; what it does goes to `events`.
+    pub(crate) fn start(clock: Clock, events: mpsc::Sender<Event>) -> Self {
+        let (jobs, inbox) = crossbeam_channel::bounded(QUEUED);
+        let (tell_end, ended) = oneshot::channel();
+        let resident_bytes = Arc::new(AtomicU64::new(0));
+        let shared = Arc::clone(&resident_bytes);
+        std::thread::spawn(move || {
+            let say = |done| events.blocking_send(Event::Done(done)).map_err(|_| Stop::Unheard);
+            let work = || serve(clock, &inbox, &say, &shared);
+            let result = match std::panic::catch_unwind(std::panic::AssertUnwindSafe(work)) {
+                Ok(Err(Stop::Failed(error))) => {
+                    // Nobody listens once the session has ended.
+                    let _ = say(Done::Failed(error.clone()));
+                    Err(error)
+                }
+                Ok(_) => Ok(()),
+                Err(_) => {
+                    let reason = "the render thread broke down; see its message above".to_owned();
+                    let error = NodeError { kind: FailureKind::Internal, reason };
+                    let _ = say(Done::Failed(error.clone()));
+                    Err(error)
+                }
+            };
+            let _ = tell_end.send(result);
+        });
+        Self { jobs: Some(jobs), ended: Some(ended), resident_bytes }
+    }
+
+    /// Queues a job. One that comes after the thread has failed is dropped: its failure is on the way.
+    pub(crate) fn order(&self, job: Job) {
+        let Some(jobs) = &self.jobs else { return };
+        let refused = jobs.try_send(job).err();
+        assert!(!refused.is_some_and(|error| error.is_full()), "a session orders one job a phase");
+    }
+
+    /// Geometry bytes the backend holds.
+    pub(crate) fn resident_bytes(&self) -> u64 {
+        self.resident_bytes.load(Ordering::Relaxed)
+    }
+
+    /// Lets the thread end its work and write its last pictures.
+    pub(crate) async fn finish(&mut self) -> Result<(), NodeError> {
+        self.jobs = None;
+        match self.ended.take() {
+            Some(ended) => ended.await.unwrap_or(Ok(())),
+            None => Ok(()),
+        }
+    }
+}
+
+/// Why the thread stops before its jobs end.
+enum Stop {
+    Failed(NodeError),
+    /// Nobody hears what it says any more.
+    Unheard,
+}
+
+impl<E: Into<NodeError>> From<E> for Stop {
+    fn from(error: E) -> Self {
+        Self::Failed(error.into())
+    }
+}
+
+fn serve(
+    clock: Clock,
+    jobs: &crossbeam_channel::Receiver<Job>,
+    say: &dyn Fn(Done) -> Result<(), Stop>,
+    resident_bytes: &Arc<AtomicU64>,
+) -> Result<(), Stop> {
+    let Ok(Job::Open { settings }) = jobs.recv() else { return Ok(()) };
+    let store = Store::open(Path::new(&settings.scene_path))?;
+    let backend = choose_backend(settings.backend, settings.size)?;
+    let folder = settings.pictures_dir.as_ref().map(PathBuf::from);
+    let mut pictures = folder.map(|at| PictureWriter::start(at, settings.size)).transpose()?;
+    say(Done::Opened(Opened { scene_digest: store.digest(), backend: backend.info() }))?;
+    let residency = Residency::new(store.skeleton().blobs.len(), Arc::clone(resident_bytes));
+    let mut stage = Stage::new(&store, backend, residency, &settings);
+    for job in jobs {
+        let started = clock.now();
+        let times = |io: IoCounts| WorkTimes { started, finished: clock.now(), io };
+        match job {
+            Job::Open { .. } => unreachable!("a session prepares once"),
+            Job::Foresee { camera } => stage.foresee(&camera),
+            Job::Occlude { frame, camera, occluders } => {
+                let counts = occlusion_representation::run(&mut stage, &camera, &occluders)?;
+                let times = times(stage.take_io());
+                say(Done::Occluded { frame, times, counts })?;
+            }
+            Job::Cull { frame, camera } => {
+                let mut part_said = Ok(());
+                let counts = hardware_cull::run(&mut stage, &camera, |part| {
+                    if part_said.is_ok() {
+                        part_said = say(Done::CulledPart { frame, part });
+                    }
+                })?;
+                part_said?;
+                let times = times(stage.take_io());
+                say(Done::Culled { frame, times, counts })?;
+            }
+            Job::Render { frame, camera, visible } => {
+                let audited = is_nth(frame, settings.audit_every);
+                let drawn = render_visible_geometry::run(&mut stage, &camera, &visible, audited)?;
+                let times = times(stage.take_io());
+                let measuring = clock.now();
+                let counted = is_nth(frame, settings.items_every);
+                let Measured { audit, hlods_with_pixels } =
+                    audit::measure(&mut stage, &camera, &drawn, audited, counted)?;
+                let mut counts = drawn.counts;
+                (counts.audit, counts.hlods_with_pixels) = (audit, hlods_with_pixels);
+                counts.picture_hash = Some(role::picture_hash(&drawn.picture.rgba));
+                if let Some(pictures) = &mut pictures {
+                    pictures.write(frame, drawn.picture.rgba)?;
+                }
+                counts.measuring_ns = clock.now() - measuring;
+                // Loading for the audit's sake is not the role's.
+                stage.take_io();
+                say(Done::Rendered { frame, times, counts })?;
+            }
+        }
+    }
+    if let Some(mut pictures) = pictures {
+        pictures.finish()?;
+    }
+    Ok(())
+}
+
+/// `frame` is one of every `n`; 0 picks none.
+fn is_nth(frame: FrameIndex, n: u32) -> bool {
+    n > 0 && frame.0.is_multiple_of(n)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_nth_frame_counts_from_the_first() {
+        let picked = |n| (0..7).filter(|&frame| is_nth(FrameIndex(frame), n)).collect::<Vec<_>>();
+        assert_eq!(picked(0), []);
+        assert_eq!(picked(1), [0, 1, 2, 3, 4, 5, 6]);
+        assert_eq!(picked(3), [0, 3, 6]);
+    }
+}

@@ -1,0 +1,161 @@
+use super::*;
+use crate::format::{Level, fixture};
+
+/// The rule that breaks once `change` is applied to a sound skeleton.
+fn broken(change: impl FnOnce(&mut Skeleton)) -> Violation {
+    let mut skeleton = fixture::skeleton();
+    assert_eq!(check(&skeleton), Ok(()));
+    change(&mut skeleton);
+    check(&skeleton).expect_err("a broken skeleton passed")
+}
+
+fn hlod(id: u32) -> Place {
+    Place::Hlod(HlodId(id))
+}
+
+fn blob(id: u32) -> Place {
+    Place::Blob(BlobId(id))
+}
+
+#[test]
+fn an_empty_tree_has_no_root() {
+    assert_eq!(broken(|s| s.hlods.clear()).rule, Rule::NoHlods);
+}
+
+#[test]
+fn links_must_form_a_tree() {
+    assert_eq!(broken(|s| s.hlods[0].parent = 0).place, hlod(0));
+    assert_eq!(broken(|s| s.hlods[1].parent = 2).rule, Rule::Parent { parent: 2 });
+    assert_eq!(broken(|s| s.hlods[1].parent = NONE).place, hlod(1));
+    assert_eq!(broken(|s| s.hlods[0].first_child = 0).rule, Rule::Children { first: 0, count: 2 });
+    assert_eq!(broken(|s| s.hlods[0].child_count = u32::MAX).place, hlod(0));
+    assert_eq!(broken(|s| s.hlods[0].child_count = 1).place, hlod(2));
+    assert_eq!(broken(|s| s.hlods[1].first_child = 1).place, hlod(1));
+    // Hlod 1 lists hlod 2, which names the root.
+    let stolen = broken(|s| (s.hlods[1].first_child, s.hlods[1].child_count) = (2, 1));
+    assert_eq!(stolen, Violation { place: hlod(1), rule: Rule::Children { first: 2, count: 1 } });
+}
+
+/// A chain of `n` hlods.
+fn chain(n: u32) -> Skeleton {
+    let mut skeleton = fixture::skeleton();
+    let leaf = Hlod { source_triangles: 3, first_level: 0, level_count: 4, ..skeleton.hlods[0] };
+    skeleton.levels.sort_by(|a, b| a.error.total_cmp(&b.error));
+    skeleton.hlods = (0..n)
+        .map(|i| Hlod {
+            parent: i.checked_sub(1).unwrap_or(NONE),
+            first_child: if i + 1 < n { i + 1 } else { 0 },
+            child_count: u32::from(i + 1 < n),
+            level_count: if i + 1 < n { 0 } else { 4 },
+            ..leaf
+        })
+        .collect();
+    skeleton
+}
+
+#[test]
+fn depth_is_limited() {
+    assert_eq!(check(&chain(1)), Ok(()));
+    assert_eq!(check(&chain(MAX_DEPTH)), Ok(()));
+    assert_eq!(check(&chain(MAX_DEPTH + 1)).unwrap_err().rule, Rule::Depth);
+}
+
+#[test]
+fn boxes_are_finite_ordered_and_nested() {
+    assert_eq!(broken(|s| s.hlods[2].max[1] = f64::NAN).rule, Rule::NotFinite);
+    assert_eq!(broken(|s| s.hlods[0].min[1] = f64::NEG_INFINITY).rule, Rule::NotFinite);
+    assert_eq!(broken(|s| s.hlods[1].min[0] = 1.5).rule, Rule::EmptyBox);
+    let outside = broken(|s| s.hlods[1].min[2] = -1e-9);
+    assert_eq!(outside, Violation { place: hlod(1), rule: Rule::OutsideParent });
+}
+
+#[test]
+fn counts_and_indices_of_hlods() {
+    assert_eq!(broken(|s| s.hlods[1].first_level = 9).place, hlod(1));
+    assert_eq!(broken(|s| s.hlods[1].level_count = u32::MAX).place, hlod(1));
+    assert_eq!(broken(|s| s.hlods[1].level_count = 0).rule, Rule::BareLeaf);
+    assert_eq!(broken(|s| s.hlods[1].level_count = 2).place, Place::Level(2));
+    assert_eq!(broken(|s| s.hlods[0].level_count = 0).rule, Rule::Owners { owners: 0 });
+    assert_eq!(broken(|s| s.hlods[2].object = 2).rule, Rule::Object { object: 2 });
+    let sum = Rule::SourceTriangles { said: 3, sum: 4 };
+    assert_eq!(broken(|s| s.hlods[1].source_triangles = 2).rule, sum);
+    assert_eq!(broken(|s| s.info.source_triangles = 4).place, Place::Info);
+    assert_eq!(broken(|s| s.hlods[1].source_triangles = u64::MAX).place, hlod(0));
+}
+
+#[test]
+fn levels_name_what_exists() {
+    let level = |change: fn(&mut Level)| broken(|s| change(&mut s.levels[3])).rule;
+    assert_eq!(level(|l| l.blob = 3), Rule::NoBlob { blob: 3 });
+    assert_eq!(level(|l| l.transform = 1), Rule::NoTransform { transform: 1 });
+    assert_eq!(level(|l| l.triangles = 2), Rule::Triangles { said: 2, found: 1 });
+    assert_eq!(level(|l| l.reserved = 1), Rule::Reserved);
+    assert_eq!(level(|l| l.error = -0.1), Rule::Error { error: -0.1 });
+    assert!(matches!(level(|l| l.error = f64::NAN), Rule::Error { .. }));
+}
+
+#[test]
+fn errors_grow_towards_the_root() {
+    let finer = broken(|s| s.levels[2].error = 0.3);
+    let rule = Rule::NotMonotone { error: 0.25, finer: 0.3 };
+    assert_eq!(finer, Violation { place: Place::Level(3), rule });
+    assert_eq!(broken(|s| s.levels[0].error = 0.2).place, Place::Level(0));
+}
+
+#[test]
+fn errors_grow_across_a_hlod_without_levels() {
+    let mut skeleton = fixture::skeleton();
+    // A new hlod without a stand-in between the root and its second child.
+    skeleton.hlods[0].level_count = 1;
+    let mut leaf = skeleton.hlods[2];
+    leaf.parent = 2;
+    skeleton.hlods.push(leaf);
+    skeleton.hlods[2] = Hlod {
+        first_child: 3,
+        child_count: 1,
+        level_count: 0,
+        first_level: 0,
+        ..skeleton.hlods[2]
+    };
+    assert_eq!(check(&skeleton), Ok(()));
+    skeleton.levels[0].error = 0.1;
+    assert_eq!(check(&skeleton).unwrap_err().place, Place::Level(0));
+}
+
+#[test]
+fn blobs_are_meshes_in_a_row() {
+    assert_eq!(broken(|s| s.blobs[1].offset += 64).place, blob(1));
+    assert_eq!(broken(|s| s.blobs[2].offset = u64::MAX).place, blob(2));
+    assert_eq!(broken(|s| s.blobs[0].bytes += 4).place, blob(0));
+    assert_eq!(broken(|s| s.blobs[0].vertices = 0).place, blob(0));
+    assert_eq!(broken(|s| s.blobs[0].origin[1] = f64::NAN).rule, Rule::NotFinite);
+    assert_eq!(broken(|s| s.blobs[0].reserved = 1).rule, Rule::Reserved);
+    let large = broken(|s| {
+        s.blobs[2].vertices = MAX_BLOB_VERTICES as u32 + 1;
+        s.blobs[2].bytes = mesh_bytes(s.blobs[2].vertices, s.blobs[2].triangles);
+    });
+    assert!(matches!(large.rule, Rule::MeshSize { .. }));
+    let empty = broken(|s| {
+        s.blobs[2].triangles = 0;
+        s.blobs[2].bytes = mesh_bytes(s.blobs[2].vertices, 0);
+    });
+    assert!(matches!(empty.rule, Rule::MeshSize { triangles: 0, .. }));
+}
+
+#[test]
+fn steps_are_powers_of_two() {
+    for step in [0.0, -0.25, 0.3, f64::NAN, f64::INFINITY, f64::MIN_POSITIVE / 2.0] {
+        assert!(matches!(broken(|s| s.blobs[1].step = step).rule, Rule::Step { .. }), "{step}");
+    }
+    assert!(is_power_of_two(1.0) && is_power_of_two(2f64.powi(-40)) && is_power_of_two(1024.0));
+}
+
+#[test]
+fn facts_and_placements() {
+    assert_eq!(broken(|s| s.info.up = [0.0; 3]).rule, Rule::NoUp);
+    assert_eq!(broken(|s| s.info.up[0] = f64::NAN).rule, Rule::NotFinite);
+    assert_eq!(broken(|s| s.info.reserved2 = 1).rule, Rule::Reserved);
+    let transform = broken(|s| s.transforms[0].linear[1][2] = f64::INFINITY);
+    assert_eq!(transform, Violation { place: Place::Transform(0), rule: Rule::NotFinite });
+    assert_eq!(transform.to_string(), "transform 0: a number is not finite");
+}

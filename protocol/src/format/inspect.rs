@@ -1,0 +1,298 @@
+//! What is in a scene file, in numbers.
+
+use super::mesh::mesh_bytes;
+use super::{Hlod, NONE, Skeleton, Vertex};
+use serde::Serialize;
+
+/// Counts and qualities of a skeleton.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Inspection {
+    /// Hlods, leaves included.
+    pub hlods: u64,
+    /// Hlods without children.
+    pub leaves: u64,
+    /// Levels of all hlods.
+    pub levels: u64,
+    /// Meshes.
+    pub blobs: u64,
+    /// Leaves that place a mesh by a transform.
+    pub instances: u64,
+    /// Placements.
+    pub transforms: u64,
+    /// Objects of the source.
+    pub objects: u64,
+    /// Hlods on the longest path from the root to a leaf, both counted.
+    pub depth: u32,
+    /// Triangles of the source, instances counted each.
+    pub source_triangles: u64,
+    /// Triangles of the source, shared meshes counted once.
+    pub unique_triangles: u64,
+    /// The scene's box: least and greatest corner, scene units.
+    pub bounds: [[f64; 3]; 2],
+    /// One row for each depth, the root's first.
+    pub tree: Vec<TreeLevel>,
+    /// Where the bytes are.
+    pub bytes: BytesByKind,
+    /// Least error of a level, scene units.
+    pub error_min: f64,
+    /// Greatest error of a level, scene units.
+    pub error_max: f64,
+    /// Children of an inner hlod.
+    pub branching: Branching,
+    /// Surface area of all pairwise overlaps of siblings over their parent's area, mean over inner
+    /// hlods whose box has an area: 0 where siblings are disjoint or touch.
+    pub overlap_mean: f64,
+    /// The greatest such ratio.
+    pub overlap_max: f64,
+}
+
+/// The hlods at one depth.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
+pub struct TreeLevel {
+    /// Hlods.
+    pub hlods: u64,
+    /// Of those, leaves.
+    pub leaves: u64,
+    /// Triangles of their finest levels.
+    pub finest_triangles: u64,
+    /// Triangles of their coarsest levels.
+    pub coarsest_triangles: u64,
+}
+
+/// Bytes of the scene file by what they hold; headers and padding between sections not counted.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
+pub struct BytesByKind {
+    /// Hlod records.
+    pub hlods: u64,
+    /// Level records.
+    pub levels: u64,
+    /// Blob records.
+    pub blobs: u64,
+    /// Transform records.
+    pub transforms: u64,
+    /// Vertices of all meshes.
+    pub vertices: u64,
+    /// Indices of all meshes.
+    pub indices: u64,
+}
+
+/// Numbers of children of the inner hlods; all 0 when there are none.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
+pub struct Branching {
+    /// Fewest.
+    pub min: u32,
+    /// Most.
+    pub max: u32,
+    /// Mean.
+    pub mean: f64,
+}
+
+/// Counts what is in a skeleton that has passed [`super::check()`].
+pub fn summary(skeleton: &Skeleton) -> Inspection {
+    let hlods = &skeleton.hlods;
+    let tree = tree_levels(skeleton);
+    let placed =
+        |h: &&Hlod| h.child_count == 0 && skeleton.levels_of(h).iter().any(|l| l.transform != NONE);
+    let errors = skeleton.levels.iter().map(|l| l.error);
+    let overlaps: Vec<f64> = hlods.iter().filter_map(|h| overlap(skeleton, h)).collect();
+    Inspection {
+        hlods: hlods.len() as u64,
+        leaves: tree.iter().map(|t| t.leaves).sum(),
+        levels: skeleton.levels.len() as u64,
+        blobs: skeleton.blobs.len() as u64,
+        instances: hlods.iter().filter(placed).count() as u64,
+        transforms: skeleton.transforms.len() as u64,
+        objects: u64::from(skeleton.info.objects),
+        depth: tree.len() as u32,
+        source_triangles: skeleton.info.source_triangles,
+        unique_triangles: skeleton.info.unique_triangles,
+        bounds: [hlods[0].min, hlods[0].max],
+        tree,
+        bytes: bytes_by_kind(skeleton),
+        error_min: errors.clone().reduce(f64::min).unwrap_or(0.0),
+        error_max: errors.fold(0.0, f64::max),
+        branching: branching(hlods),
+        overlap_mean: overlaps.iter().sum::<f64>() / overlaps.len().max(1) as f64,
+        overlap_max: overlaps.iter().copied().fold(0.0, f64::max),
+    }
+}
+
+fn tree_levels(skeleton: &Skeleton) -> Vec<TreeLevel> {
+    let mut rows: Vec<TreeLevel> = Vec::new();
+    let mut depth = vec![0usize; skeleton.hlods.len()];
+    for (i, hlod) in skeleton.hlods.iter().enumerate() {
+        if hlod.parent != NONE {
+            depth[i] = depth[hlod.parent as usize] + 1;
+        }
+        if depth[i] == rows.len() {
+            rows.push(TreeLevel::default());
+        }
+        let row = &mut rows[depth[i]];
+        let levels = skeleton.levels_of(hlod);
+        row.hlods += 1;
+        row.leaves += u64::from(hlod.child_count == 0);
+        row.finest_triangles += levels.first().map_or(0, |l| u64::from(l.triangles));
+        row.coarsest_triangles += levels.last().map_or(0, |l| u64::from(l.triangles));
+    }
+    rows
+}
+
+fn bytes_by_kind(skeleton: &Skeleton) -> BytesByKind {
+    let vertices = skeleton.blobs.iter().map(|b| mesh_bytes(b.vertices, 0)).sum();
+    let meshes: u64 = skeleton.blobs.iter().map(|b| b.bytes).sum();
+    BytesByKind {
+        hlods: size_of_val(&skeleton.hlods[..]) as u64,
+        levels: size_of_val(&skeleton.levels[..]) as u64,
+        blobs: size_of_val(&skeleton.blobs[..]) as u64,
+        transforms: size_of_val(&skeleton.transforms[..]) as u64,
+        vertices,
+        indices: meshes - vertices,
+    }
+}
+
+fn branching(hlods: &[Hlod]) -> Branching {
+    let counts = hlods.iter().map(|h| h.child_count).filter(|&c| c > 0);
+    let inner = counts.clone().count();
+    if inner == 0 {
+        return Branching::default();
+    }
+    Branching {
+        min: counts.clone().min().unwrap_or(0),
+        max: counts.clone().max().unwrap_or(0),
+        mean: counts.map(f64::from).sum::<f64>() / inner as f64,
+    }
+}
+
+/// Surface area of a box.
+fn area(min: [f64; 3], max: [f64; 3]) -> f64 {
+    let e: [f64; 3] = std::array::from_fn(|k| max[k] - min[k]);
+    2.0 * (e[0] * e[1] + e[1] * e[2] + e[2] * e[0])
+}
+
+/// Area of what two boxes share; 0 where they only touch.
+fn shared_area(a: &Hlod, b: &Hlod) -> f64 {
+    let min: [f64; 3] = std::array::from_fn(|k| a.min[k].max(b.min[k]));
+    let max: [f64; 3] = std::array::from_fn(|k| a.max[k].min(b.max[k]));
+    // A flat box has no inside of its own along its normal, and yet overlaps what it cuts through.
+    let flat = |h: &Hlod, k: usize| h.min[k] == h.max[k];
+    let apart = |k| min[k] > max[k] || min[k] == max[k] && !flat(a, k) && !flat(b, k);
+    if (0..3).any(apart) { 0.0 } else { area(min, max) }
+}
+
+/// Pairwise overlap of the children over the parent's area; `None` for leaves and boxes without area.
+fn overlap(skeleton: &Skeleton, parent: &Hlod) -> Option<f64> {
+    let whole = area(parent.min, parent.max);
+    if parent.child_count == 0 || whole <= 0.0 {
+        return None;
+    }
+    // Sorted along x, a child is held against those alone that begin before it ends.
+    let mut children: Vec<&Hlod> = skeleton.children_of(parent).map(|c| skeleton.hlod(c)).collect();
+    children.sort_by(|a, b| a.min[0].total_cmp(&b.min[0]));
+    let mut shared = 0.0;
+    for (i, a) in children.iter().enumerate() {
+        let near = children[i + 1..].iter().take_while(|b| b.min[0] <= a.max[0]);
+        shared += near.map(|b| shared_area(a, b)).sum::<f64>();
+    }
+    Some(shared / whole)
+}
+
+impl std::fmt::Display for Inspection {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let [min, max] = self.bounds;
+        let b = &self.bytes;
+        writeln!(f, "box           {min:?} to {max:?}")?;
+        writeln!(f, "objects       {}, instances {}", self.objects, self.instances)?;
+        writeln!(
+            f,
+            "triangles     {} in the source, {} without repeats",
+            self.source_triangles, self.unique_triangles
+        )?;
+        writeln!(f, "hlods         {}, leaves {}, depth {}", self.hlods, self.leaves, self.depth)?;
+        writeln!(
+            f,
+            "levels        {}, blobs {}, transforms {}",
+            self.levels, self.blobs, self.transforms
+        )?;
+        writeln!(f, "errors        {} to {} scene units", self.error_min, self.error_max)?;
+        writeln!(
+            f,
+            "children      {:.2} mean, {} to {}",
+            self.branching.mean, self.branching.min, self.branching.max
+        )?;
+        writeln!(
+            f,
+            "overlap       {:.3} mean, {:.3} greatest (shared area / parent's area)",
+            self.overlap_mean, self.overlap_max
+        )?;
+        writeln!(
+            f,
+            "bytes         hlods {}, levels {}, blobs {}, transforms {}, vertices {}, indices {}",
+            b.hlods, b.levels, b.blobs, b.transforms, b.vertices, b.indices
+        )?;
+        writeln!(f, "depth      hlods     leaves    triangles, finest     coarsest")?;
+        for (depth, t) in self.tree.iter().enumerate() {
+            writeln!(
+                f,
+                "{depth:5} {:10} {:10} {:20} {:12}",
+                t.hlods, t.leaves, t.finest_triangles, t.coarsest_triangles
+            )?;
+        }
+        Ok(())
+    }
+}
+
+// Vertices are whole multiples of the padding, so the split of a mesh's bytes is exact.
+const _: () = assert!(size_of::<Vertex>().is_multiple_of(4));
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::format::fixture;
+
+    #[test]
+    fn counts_of_the_fixture() {
+        let s = summary(&fixture::skeleton());
+        assert_eq!((s.hlods, s.leaves, s.levels, s.blobs), (3, 2, 4, 3));
+        assert_eq!((s.instances, s.transforms, s.objects, s.depth), (1, 1, 2, 2));
+        assert_eq!((s.error_min, s.error_max), (0.0, 0.5));
+        assert_eq!(s.branching, Branching { min: 2, max: 2, mean: 2.0 });
+        let rows = [
+            TreeLevel { hlods: 1, leaves: 0, finest_triangles: 1, coarsest_triangles: 1 },
+            TreeLevel { hlods: 2, leaves: 2, finest_triangles: 3, coarsest_triangles: 2 },
+        ];
+        assert_eq!(s.tree, rows);
+        assert_eq!((s.bytes.vertices, s.bytes.indices), (160, 8 + 12 + 8));
+        assert_eq!((s.overlap_mean, s.overlap_max), (0.0, 0.0));
+    }
+
+    #[test]
+    fn a_lone_leaf_has_no_branching_and_no_overlap() {
+        let mut skeleton = fixture::skeleton();
+        skeleton.hlods.truncate(1);
+        (skeleton.hlods[0].child_count, skeleton.hlods[0].first_child) = (0, 0);
+        let s = summary(&skeleton);
+        assert_eq!((s.leaves, s.depth, s.branching), (1, 1, Branching::default()));
+        assert_eq!(s.overlap_mean, 0.0);
+    }
+
+    #[test]
+    fn overlap_counts_shared_space_and_not_touching_faces() {
+        let mut skeleton = fixture::skeleton();
+        // The root's area is 22; siblings [0, 2] and [1, 5] share a unit cube of area 6.
+        skeleton.hlods[1].max[0] = 2.0;
+        skeleton.hlods[2].min[0] = 1.0;
+        assert_eq!(summary(&skeleton).overlap_max, 6.0 / 22.0);
+        skeleton.hlods[2].min[0] = 2.0;
+        assert_eq!(summary(&skeleton).overlap_max, 0.0);
+        // A flat wall on the border is shared as a whole: both sides of a unit square.
+        skeleton.hlods[2].max[0] = 2.0;
+        assert_eq!(summary(&skeleton).overlap_max, 2.0 / 22.0);
+    }
+
+    #[test]
+    fn the_text_names_every_depth() {
+        let text = summary(&fixture::skeleton()).to_string();
+        assert!(text.contains("hlods         3, leaves 2, depth 2"), "{text}");
+        assert_eq!(text.lines().count(), 9 + 1 + 2);
+    }
+}

@@ -1,0 +1,30 @@
+//! The scene file. FORMAT.md draws every byte.
+//!
+//! A small skeleton (always resident) and large geometry pages, in one file that is written to a
+//! temporary name, synced and renamed. All numbers are little-endian; sections start at multiples of
+//! 64 bytes, so that a mapped file can be read in place.
+
+pub mod check;
+#[cfg(test)]
+mod fixture;
+pub mod inspect;
+mod layout;
+pub mod mesh;
+pub mod read;
+pub mod skeleton;
+pub mod vertex;
+pub mod write;
+
+pub use check::{Violation, check};
+pub use inspect::{Inspection, summary};
+pub use layout::{ALIGNMENT, FORMAT_VERSION, Section};
+pub use read::{FormatError, ReadError, SceneFile, digest, parse, read_blob, read_skeleton};
+pub use skeleton::{Blob, Hlod, Level, SceneInfo, Skeleton, Transform};
+pub use vertex::Vertex;
+pub use write::{Finished, SceneWriter, WriteError};
+
+/// BLAKE3 of the whole file's content, see FORMAT.md.
+pub type Digest = [u8; 32];
+
+/// "No such thing" in an index field.
+pub const NONE: u32 = u32::MAX;

@@ -1,0 +1,15 @@
+//! Every byte two processes must agree on, on the wire and on disk.
+//!
+//! Nothing here opens a socket, reads a clock or touches a GPU: the session state machines are
+//! functions of their arguments, and the file layout is a function of bytes.
+
+pub mod camera;
+pub mod codec;
+pub mod format;
+pub mod id;
+pub mod message;
+pub mod schedule;
+pub mod session;
+pub mod settings;
+pub mod telemetry;
+pub mod visible;

@@ -1,0 +1,76 @@
+//! What a run is told once, before its first phase: the same on every node.
+
+use serde::{Deserialize, Serialize};
+
+/// Which renderer a node uses.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum BackendChoice {
+    /// A GPU, else a software Vulkan driver, else the CPU backend.
+    #[default]
+    Auto,
+    /// A graphics driver, hardware or software; an error where there is none.
+    Gpu,
+    /// The embedded z-buffer rasteriser.
+    Cpu,
+}
+
+/// How hidden hlods are found.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Cull {
+    /// One hardware occlusion query a box (paper 004, section 4.2).
+    #[default]
+    Queries,
+    /// One instanced draw of all boxes whose fragments store `visible[id]`.
+    Boxes,
+    /// Everything in the frustum is drawn.
+    Off,
+}
+
+/// Who does what in a phase; see [`crate::schedule`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Schedule {
+    /// Paper 004, section 4.3: two seats swap OR and HC, the third always draws.
+    #[default]
+    Switch,
+    /// All three seats change role every frame: a picture is drawn where its visible set was found.
+    Rotate,
+}
+
+/// Picture size in pixels, each side 1..=16384.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct PictureSize {
+    /// Pixels across.
+    pub width: u32,
+    /// Pixels down.
+    pub height: u32,
+}
+
+/// Everything a node needs to know of a run, sent in the welcome message.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct RunSettings {
+    /// Scene file, as the node is to open it.
+    pub scene_path: String,
+    /// Digest of the whole file ([`crate::format::Digest`]); a node with another scene is refused.
+    pub scene_digest: [u8; 32],
+    /// Picture size.
+    pub size: PictureSize,
+    /// Largest error of a drawn level in pixels; 0 draws the original geometry.
+    pub lod_px: f64,
+    /// How hidden hlods are found.
+    pub cull: Cull,
+    /// Who does what in a phase.
+    pub schedule: Schedule,
+    /// Which renderer.
+    pub backend: BackendChoice,
+    /// Number of pictures.
+    pub frames: u32,
+    /// Audit every n-th frame; 0 never.
+    pub audit_every: u32,
+    /// Count hlods with a visible pixel (item buffer) every n-th frame; 0 never.
+    pub items_every: u32,
+    /// Folder that receives `000000.png ...`; none writes no pictures.
+    pub pictures_dir: Option<String>,
+}

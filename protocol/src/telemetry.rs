@@ -1,0 +1,127 @@
+//! What a node measures and reports. Times are nanoseconds on the node's own clock.
+
+use crate::id::{FrameIndex, Seat};
+use crate::schedule::{Phase, Role};
+use serde::{Deserialize, Serialize};
+
+/// Nanoseconds since an arbitrary start of the clock they were read from.
+pub type Nanos = u64;
+
+/// The renderer a node chose.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct BackendInfo {
+    /// `gpu` or `cpu`.
+    pub name: String,
+    /// Adapter and driver in words, for example `llvmpipe (LLVM 15.0.6, 256 bits), Mesa 22.3.6`.
+    pub driver: String,
+}
+
+/// Result of drawing one frame's front with and without occlusion culling on one device.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct Audit {
+    /// Pixels whose colour or depth bits differ.
+    pub differing_pixels: u64,
+}
+
+/// Counts of HC(i).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct CullCounts {
+    /// Hlods on the front F_i.
+    pub front: u32,
+    /// Of those, in the frustum.
+    pub in_frustum: u32,
+    /// Boxes tested against the depth (the others in the frustum are visible without a test).
+    pub queries: u32,
+    /// Hlods in V_i.
+    pub visible: u32,
+    /// Triangles of the *source* under the hlods in the frustum.
+    pub source_triangles_in_frustum: u64,
+    /// Ids that changed between the base and V_i.
+    pub changed: u32,
+    /// Bytes of the coded change, for one receiver, framing not counted.
+    pub ids_delta: u32,
+    /// Bytes of V_i as plain 4-byte ids.
+    pub ids_full: u32,
+}
+
+/// Counts of OR(i) and RVG(i).
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+pub struct DrawCounts {
+    /// Hlods drawn.
+    pub hlods: u32,
+    /// Triangles drawn.
+    pub triangles: u64,
+    /// Hlods with a visible pixel, on frames where the item buffer was drawn.
+    pub hlods_with_pixels: Option<u32>,
+    /// First 8 bytes of the BLAKE3 of the picture's RGBA bytes (RVG alone).
+    pub picture_hash: Option<u64>,
+    /// On audited frames (RVG alone).
+    pub audit: Option<Audit>,
+    /// Time spent on audit, item buffer and the picture file, inside the phase but not in `work`.
+    pub measuring_ns: Nanos,
+}
+
+/// Demand loading of geometry in one phase.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct IoCounts {
+    /// Blobs needed that were already with the backend.
+    pub hits: u64,
+    /// Blobs needed that had to be read.
+    pub misses: u64,
+    /// Time waited for them.
+    pub stall_ns: Nanos,
+    /// Bytes read.
+    pub bytes_read: u64,
+}
+
+/// Bytes written to one peer's socket since the run began, framing and handshake included.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct LinkBytes {
+    /// The other end.
+    pub to: Seat,
+    /// Bytes.
+    pub bytes: u64,
+}
+
+/// Everything a seat says of one phase.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct PhaseReport {
+    /// The phase.
+    pub phase: Phase,
+    /// What the seat did; none if it idled.
+    pub work: Option<WorkReport>,
+    /// Bytes sent to each peer so far.
+    #[serde(deserialize_with = "crate::codec::list")]
+    pub sent: Vec<LinkBytes>,
+    /// Bytes sent to the coordinator so far.
+    pub sent_control: u64,
+    /// Demand loading in this phase.
+    pub io: IoCounts,
+    /// Highest resident set size of the process so far, bytes.
+    pub peak_rss: u64,
+    /// Geometry bytes held for the backend now.
+    pub resident_bytes: u64,
+}
+
+/// One role's work on one frame.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct WorkReport {
+    /// The role.
+    pub role: Role,
+    /// The frame it worked on.
+    pub frame: FrameIndex,
+    /// When the phase message was handled.
+    pub phase_received: Nanos,
+    /// When the role's own work began (after its input had come).
+    pub started: Nanos,
+    /// When it ended, measuring not counted.
+    pub finished: Nanos,
+    /// HC: when the end-of-frame message was handed to the socket.
+    pub visible_sent: Option<Nanos>,
+    /// OR and RVG in `switch`, OR in `rotate`: when the end-of-frame message was handled.
+    pub visible_received: Option<Nanos>,
+    /// HC alone.
+    pub cull: Option<CullCounts>,
+    /// OR and RVG.
+    pub draw: Option<DrawCounts>,
+}

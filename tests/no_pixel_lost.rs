@@ -1,0 +1,103 @@
+//! Culling on and off give the same bits, frame by frame, wherever the camera stands.
+//!
+//! The whole walks, orbits and zooms over all scenes, in release: `cargo test --release --test
+//! no_pixel_lost -- --ignored`.
+
+#![allow(clippy::unwrap_used, reason = "a test stops where something is missing")]
+
+mod support;
+
+use std::fmt::Write;
+use std::path::{Path, PathBuf};
+use support::{REAL_SCENES, Run, Scene, backends, real_scene, text};
+
+const KINDS: [&str; 3] = ["walk", "orbit", "zoom"];
+
+/// Replays with every frame audited.
+fn audited(scene: &Scene, backend: &str, path: &Path, size: &str, cull: &str) -> Run {
+    let name = format!("{backend}-{}-{size}-{cull}", path.file_stem().unwrap().to_str().unwrap());
+    let options = [
+        "--backend",
+        backend,
+        "--path",
+        text(path),
+        "--size",
+        size,
+        "--cull",
+        cull,
+        "--audit",
+        "every=1",
+    ];
+    let run = scene.replay(&name, &options);
+    run.assert_audited(&format!("{} {name}", scene.occ.display()));
+    run
+}
+
+/// Every other frame of a walk and of an orbit in turn: each frame is a jump across the scene.
+fn jumps(scene: &Scene, frames: u32) -> PathBuf {
+    let lines = |kind| std::fs::read_to_string(scene.path(kind, frames)).unwrap();
+    let (walk, orbit) = (lines("walk"), lines("orbit"));
+    let mut text = walk.lines().next().unwrap().to_owned();
+    for (a, b) in walk.lines().skip(1).zip(orbit.lines().skip(1)) {
+        let _ = write!(text, "\n{a}\n{b}");
+    }
+    let path = scene.file("jumps.csv");
+    std::fs::write(&path, text + "\n").unwrap();
+    path
+}
+
+#[test]
+fn generated_scenes_keep_every_pixel() {
+    for (kind, triangles) in [("plant", 200_000), ("pipes", 100_000)] {
+        let scene = Scene::synth(kind, triangles);
+        for backend in backends() {
+            let mut culled_something = false;
+            for path in KINDS.map(|kind| scene.path(kind, 8)) {
+                let run = audited(&scene, backend, &path, "161x97", "queries");
+                culled_something |=
+                    run.number("/culling/visible") < run.number("/culling/in_frustum");
+            }
+            audited(&scene, backend, &jumps(&scene, 4), "97x161", "boxes");
+            assert!(culled_something, "{kind}: an audit of nothing culled says nothing");
+        }
+    }
+}
+
+#[test]
+fn real_scenes_keep_every_pixel() {
+    for glb in REAL_SCENES.into_iter().filter_map(real_scene) {
+        let scene = Scene::bake(&glb);
+        for backend in backends() {
+            for path in KINDS.map(|kind| scene.path(kind, 3)) {
+                audited(&scene, backend, &path, "121x75", "queries");
+            }
+        }
+    }
+}
+
+#[test]
+#[ignore = "the whole sweep, tens of minutes: run it in release"]
+fn whole_walks_orbits_and_zooms_keep_every_pixel() {
+    let generated =
+        [("plant", 1_000_000), ("pipes", 1_000_000)].map(|(kind, n)| (kind, Scene::synth(kind, n)));
+    let real =
+        REAL_SCENES.into_iter().filter_map(|name| Some((name, Scene::bake(&real_scene(name)?))));
+    for (name, scene) in generated.into_iter().chain(real) {
+        for backend in backends() {
+            let mut paths = KINDS.map(|kind| scene.path(kind, 120)).to_vec();
+            paths.push(jumps(&scene, 30));
+            for path in paths {
+                for (size, cull) in [("320x200", "queries"), ("333x101", "boxes")] {
+                    let run = audited(&scene, backend, &path, size, cull);
+                    let (visible, frustum) =
+                        (run.number("/culling/visible"), run.number("/culling/in_frustum"));
+                    println!(
+                        "{name} {backend} {} {size} {cull}: {} frames, 0 differing pixels, {visible:.0} of {frustum:.0} visible",
+                        path.file_stem().unwrap().to_str().unwrap(),
+                        run.rows.len()
+                    );
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,160 @@
+//! Processes: whatever ends a run, all of them end; strangers get nothing.
+
+#![allow(clippy::unwrap_used, reason = "a test stops where something is missing")]
+#![cfg(unix)]
+
+mod support;
+
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::TcpStream;
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+use support::{Scene, occluster, text};
+
+/// A long replay in the background, and its three children once they run.
+struct LongRun {
+    coordinator: Child,
+    nodes: Vec<u32>,
+}
+
+impl LongRun {
+    fn start(scene: &Scene, extra: &[&str]) -> Self {
+        let walk = scene.path("walk", 2000);
+        let mut command = occluster();
+        command
+            .args(["replay", text(&scene.occ), "--path", text(&walk), "--backend", "cpu"])
+            .args(extra);
+        let coordinator = command.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
+        let deadline = Instant::now() + Duration::from_secs(60);
+        let mut nodes = children(coordinator.id());
+        while nodes.len() < 3 {
+            assert!(Instant::now() < deadline, "three children never started");
+            std::thread::sleep(Duration::from_millis(20));
+            nodes = children(coordinator.id());
+        }
+        std::thread::sleep(Duration::from_millis(500));
+        Self { coordinator, nodes }
+    }
+
+    /// Waits for the coordinator: its code and what it said.
+    fn end(mut self) -> (Option<i32>, String) {
+        let deadline = Instant::now() + Duration::from_secs(30);
+        while self.coordinator.try_wait().unwrap().is_none() {
+            assert!(Instant::now() < deadline, "the coordinator never ended");
+            std::thread::sleep(Duration::from_millis(20));
+        }
+        let mut says = String::new();
+        self.coordinator.stderr.take().unwrap().read_to_string(&mut says).unwrap();
+        assert_gone(&self.nodes);
+        (self.coordinator.wait().unwrap().code(), says)
+    }
+}
+
+fn children(of: u32) -> Vec<u32> {
+    let output = Command::new("ps").args(["-o", "pid=,ppid=,stat="]).args(["-e"]).output().unwrap();
+    let text = String::from_utf8(output.stdout).unwrap();
+    let fields = text.lines().map(|line| line.split_whitespace().collect::<Vec<_>>());
+    fields
+        .filter(|f| f[1] == of.to_string() && !f[2].starts_with('Z'))
+        .map(|f| f[0].parse().unwrap())
+        .collect()
+}
+
+fn signal(pid: u32, name: &str) {
+    assert!(
+        Command::new("kill")
+            .args([format!("-{name}"), pid.to_string()])
+            .status()
+            .unwrap()
+            .success()
+    );
+}
+
+fn assert_gone(pids: &[u32]) {
+    let deadline = Instant::now() + Duration::from_secs(10);
+    let alive = |pid: &u32| {
+        let status = std::fs::read_to_string(format!("/proc/{pid}/stat")).unwrap_or_default();
+        !status.is_empty() && !status.contains(") Z ")
+    };
+    while pids.iter().any(alive) {
+        assert!(Instant::now() < deadline, "orphans: {pids:?}");
+        std::thread::sleep(Duration::from_millis(20));
+    }
+}
+
+#[test]
+fn whatever_dies_first_nobody_stays_behind() {
+    let scene = Scene::synth("plant", 200_000);
+    for killed in 0..3 {
+        let run = LongRun::start(&scene, &[]);
+        signal(run.nodes[killed], "KILL");
+        let (code, says) = run.end();
+        assert_eq!(code, Some(69), "{says}");
+        assert!(says.contains("seat"), "{says}");
+    }
+    for name in ["INT", "TERM"] {
+        let out = scene.file(name);
+        let run = LongRun::start(&scene, &["--out", text(&out), "--pictures", "png"]);
+        signal(run.coordinator.id(), name);
+        let (code, says) = run.end();
+        assert_eq!(code, Some(1), "{says}");
+        assert!(says.contains("interrupted"), "{says}");
+        assert_whole(&out);
+    }
+    let mut run = LongRun::start(&scene, &[]);
+    signal(run.coordinator.id(), "KILL");
+    run.coordinator.wait().unwrap();
+    assert_gone(&run.nodes);
+}
+
+/// No half-written file: every picture ends as a PNG does, nothing temporary is left.
+fn assert_whole(out: &Path) {
+    for entry in std::fs::read_dir(out.join("frames")).unwrap() {
+        let path = entry.unwrap().path();
+        assert_eq!(path.extension().unwrap(), "png", "{}", path.display());
+        let bytes = std::fs::read(&path).unwrap();
+        assert!(bytes.ends_with(b"IEND\xaeB`\x82"), "{}", path.display());
+    }
+    assert!(!out.join("summary.json").exists());
+}
+
+#[test]
+fn a_stranger_gets_not_one_byte_and_harms_no_run() {
+    let scene = Scene::synth("plant", 200_000);
+    let free = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+    let rig = scene.file("rig.toml");
+    std::fs::write(&rig, format!("bind = \"{free}\"")).unwrap();
+    let walk = scene.path("walk", 300);
+    let mut coordinator = occluster()
+        .args([
+            "replay",
+            text(&scene.occ),
+            "--path",
+            text(&walk),
+            "--backend",
+            "cpu",
+            "--rig",
+            text(&rig),
+        ])
+        .stdout(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let deadline = Instant::now() + Duration::from_secs(30);
+    let mut stranger = loop {
+        match TcpStream::connect(free) {
+            Ok(stream) => break stream,
+            Err(_) => assert!(Instant::now() < deadline, "nobody listens"),
+        }
+        std::thread::sleep(Duration::from_millis(5));
+    };
+    stranger.set_read_timeout(Some(Duration::from_secs(20))).unwrap();
+    drop(stranger.write_all(b"GET / HTTP/1.1\r\nHost: plant\r\n\r\n"));
+    let mut answer = Vec::new();
+    drop(stranger.read_to_end(&mut answer));
+    assert!(answer.is_empty(), "{answer:?}");
+    assert!(coordinator.wait().unwrap().success());
+    let table: Vec<String> =
+        BufReader::new(coordinator.stdout.take().unwrap()).lines().map(Result::unwrap).collect();
+    assert!(table.iter().any(|line| line.contains("frame ms")), "{table:?}");
+}
