@@ -84,19 +84,22 @@ fn whole_walks_orbits_and_zooms_keep_every_pixel() {
         REAL_SCENES.into_iter().filter_map(|name| Some((name, Scene::bake(&real_scene(name)?))));
     for (name, scene) in generated.into_iter().chain(real) {
         for backend in backends() {
-            let mut paths = KINDS.map(|kind| scene.path(kind, 120)).to_vec();
-            paths.push(jumps(&scene, 30));
-            for path in paths {
-                for (size, cull) in [("320x200", "queries"), ("333x101", "boxes")] {
-                    let run = audited(&scene, backend, &path, size, cull);
-                    let (visible, frustum) =
-                        (run.number("/culling/visible"), run.number("/culling/in_frustum"));
-                    println!(
-                        "{name} {backend} {} {size} {cull}: {} frames, 0 differing pixels, {visible:.0} of {frustum:.0} visible",
-                        path.file_stem().unwrap().to_str().unwrap(),
-                        run.rows.len()
-                    );
-                }
+            let [walk, orbit, zoom] = KINDS.map(|kind| scene.path(kind, 120));
+            let runs = [
+                (walk, "320x200", "queries"),
+                (orbit, "333x101", "queries"),
+                (zoom, "320x200", "queries"),
+                (jumps(&scene, 30), "101x333", "boxes"),
+            ];
+            for (path, size, cull) in runs {
+                let run = audited(&scene, backend, &path, size, cull);
+                let (visible, frustum) =
+                    (run.number("/culling/visible"), run.number("/culling/in_frustum"));
+                println!(
+                    "{name} {backend} {} {size} {cull}: {} frames, 0 differing pixels, {visible:.0} of {frustum:.0} visible",
+                    path.file_stem().unwrap().to_str().unwrap(),
+                    run.rows.len()
+                );
             }
         }
     }

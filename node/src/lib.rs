@@ -34,6 +34,14 @@ pub struct NodeError {
     pub kind: FailureKind,
     /// One sentence for a person.
     pub reason: String,
+    /// The session told the coordinator or heard it from there, so a person hears it from there too.
+    pub told: bool,
+}
+
+impl NodeError {
+    fn new(kind: FailureKind, reason: String) -> Self {
+        Self { kind, reason, told: false }
+    }
 }
 
 /// How a node is started.
@@ -52,7 +60,7 @@ pub struct NodeOptions {
 pub fn run(options: NodeOptions) -> Result<(), NodeError> {
     let NodeOptions { join, listen, token } = options;
     runtime()?.block_on(async move {
-        let unavailable = |reason| NodeError { kind: FailureKind::Unavailable, reason };
+        let unavailable = |reason| NodeError::new(FailureKind::Unavailable, reason);
         let listener = TcpListener::bind(&listen).await.map_err(|error| {
             unavailable(format!("cannot listen for other nodes on {listen}: {error}"))
         })?;
@@ -84,10 +92,10 @@ pub fn run_in_process(controls: [DuplexStream; 3], token: Token) -> Result<(), N
         let error = match thread.join() {
             Ok(Ok(())) => continue,
             Ok(Err(error)) => error,
-            Err(_) => NodeError {
-                kind: FailureKind::Internal,
-                reason: "a node's thread broke down; see its message above".into(),
-            },
+            Err(_) => {
+                let reason = "a node's thread broke down; see its message above".to_owned();
+                NodeError::new(FailureKind::Internal, reason)
+            }
         };
         let vaguer = |known: &NodeError| known.kind == FailureKind::Unavailable;
         if first.as_ref().is_none_or(vaguer) {
@@ -99,9 +107,11 @@ pub fn run_in_process(controls: [DuplexStream; 3], token: Token) -> Result<(), N
 
 /// A reactor for links and timers; rendering has a thread of its own.
 fn runtime() -> Result<tokio::runtime::Runtime, NodeError> {
-    tokio::runtime::Builder::new_current_thread().enable_all().build().map_err(|error| NodeError {
-        kind: FailureKind::Unavailable,
-        reason: format!("cannot start the network reactor: {error}"),
+    tokio::runtime::Builder::new_current_thread().enable_all().build().map_err(|error| {
+        NodeError::new(
+            FailureKind::Unavailable,
+            format!("cannot start the network reactor: {error}"),
+        )
     })
 }
 
@@ -111,19 +121,19 @@ impl From<PictureError> for NodeError {
             PictureError::Write { .. } => FailureKind::Io,
             PictureError::Encode { .. } | PictureError::Gone => FailureKind::Internal,
         };
-        Self { kind, reason: error.to_string() }
+        Self::new(kind, error.to_string())
     }
 }
 
 impl From<OpenError> for NodeError {
     fn from(error: OpenError) -> Self {
-        Self { kind: failure_kind(&error), reason: error.to_string() }
+        Self::new(failure_kind(&error), error.to_string())
     }
 }
 
 impl From<ChooseError> for NodeError {
     fn from(error: ChooseError) -> Self {
-        Self { kind: FailureKind::Unavailable, reason: error.to_string() }
+        Self::new(FailureKind::Unavailable, error.to_string())
     }
 }
 
@@ -135,6 +145,6 @@ impl From<RoleError> for NodeError {
             RoleError::Geometry(StoreError::Unknown { .. }) => FailureKind::Internal,
             RoleError::ForeignHlod(_) => FailureKind::Protocol,
         };
-        Self { kind, reason: error.to_string() }
+        Self::new(kind, error.to_string())
     }
 }

@@ -241,7 +241,10 @@ impl Runner {
                     self.worker.order(Job::Render { frame, camera, visible });
                 }
                 Output::Finished => return Some(Ok(())),
-                Output::Failed { kind, reason } => return Some(Err(NodeError { kind, reason })),
+                Output::Failed { kind, reason } => {
+                    let told = self.run.is_some() && self.links.contains_key(&Peer::Coordinator);
+                    return Some(Err(NodeError { kind, reason, told }));
+                }
             }
         }
         None

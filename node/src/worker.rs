@@ -88,7 +88,7 @@ impl Worker {
                 Ok(_) => Ok(()),
                 Err(_) => {
                     let reason = "the render thread broke down; see its message above".to_owned();
-                    let error = NodeError { kind: FailureKind::Internal, reason };
+                    let error = NodeError::new(FailureKind::Internal, reason);
                     let _ = say(Done::Failed(error.clone()));
                     Err(error)
                 }

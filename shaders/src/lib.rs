@@ -17,12 +17,12 @@ pub const DEPTH: &str = source!("frame.wgsl", "mesh.wgsl", "depth.wgsl");
 pub const SHADE: &str = source!("frame.wgsl", "mesh.wgsl", "shade.wgsl");
 /// Item ids: entry points `vertex_main`, `fragment_main`.
 pub const ITEMS: &str = source!("frame.wgsl", "mesh.wgsl", "items.wgsl");
-/// Boxes as occlusion queries, entry point `query_vertex`: depth alone, a strip of
-/// [`BOX_STRIP_VERTICES`] vertices an instance.
+/// Boxes as occlusion queries, entry point `query_vertex`: depth alone, a list of
+/// [`BOX_VERTICES`] vertices an instance.
 pub const BOX_QUERY: &str = source!("frame.wgsl", "box.wgsl", "box_query.wgsl");
 /// Boxes that mark themselves, entry points `mark_vertex`, `mark_fragment`. It needs the early depth
 /// test, which not every device has, and so is a module of its own.
 pub const BOX_MARK: &str = source!("frame.wgsl", "box.wgsl", "box_mark.wgsl");
 
-/// Vertices of the strip that covers a box.
-pub const BOX_STRIP_VERTICES: u32 = 14;
+/// Vertices of the three faces of a box that can be turned to the eye, two triangles each.
+pub const BOX_VERTICES: u32 = 18;

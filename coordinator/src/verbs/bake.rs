@@ -1,14 +1,15 @@
 //! `bake`: source scene to scene file.
 
-use super::exit::{CONFIG, Failure, OTHER, OrExit};
+use super::exit::{CONFIG, Failure, OrExit};
+use super::say::{say, say_json};
 use ::bake::Options;
 use ::bake::progress::Bars;
 use std::path::{Path, PathBuf};
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// The glTF or GLB file
-    #[arg(required = true, num_args = 1, value_name = "INPUT")]
+    /// The glTF or GLB files; several become one scene
+    #[arg(required = true, value_name = "INPUT")]
     inputs: Vec<PathBuf>,
     /// The scene file to write
     #[arg(short, long, value_name = "SCENE.occ")]
@@ -35,12 +36,7 @@ pub(crate) fn run(args: Args) -> Result<(), Failure> {
     options.jobs = args.jobs.unwrap_or(options.jobs);
     options.seed = args.seed.unwrap_or(options.seed);
     let summary = bake_file(&args.inputs, &args.output, &options)?;
-    if args.json {
-        println!("{}", serde_json::to_string_pretty(&summary).or_exit(OTHER)?);
-    } else {
-        print!("{summary}");
-    }
-    Ok(())
+    if args.json { say_json(&summary) } else { say(summary) }
 }
 
 /// Bakes with progress bars on a terminal.
@@ -50,5 +46,5 @@ pub(super) fn bake_file(
     options: &Options,
 ) -> Result<::bake::Summary, Failure> {
     ::bake::bake(inputs, output, options, &Bars::default())
-        .map_err(|error| Failure { code: error.exit_code(), error: error.into() })
+        .map_err(|error| Failure { code: error.exit_code(), error: Some(error.into()) })
 }

@@ -2,6 +2,7 @@
 
 use super::exit::{Failure, IO, OrExit};
 use super::replay::{self, RunOptions, word};
+use super::say::say;
 use super::{bake::bake_file, path, scene_file};
 use ::bake::synth::{Kind, generate, write_glb};
 use anyhow::Context;
@@ -58,10 +59,5 @@ pub(crate) fn run(args: Args) -> Result<(), Failure> {
         ..replay::Args::default()
     })?;
 
-    print!("{baked}\n{}", table(&summary));
-    if let Some(out) = out {
-        println!("{:<22}{}", "pictures", out.join("frames").display());
-        println!("{:<22}{}", "report", out.join("report.html").display());
-    }
-    Ok(())
+    say(format_args!("{baked}\n{}", replay::with_places(table(&summary), out.as_deref())))
 }

@@ -1,11 +1,11 @@
 //! `doctor`: what this machine can render with.
 
 use super::exit::Failure;
+use super::say::say;
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {}
 
 pub(crate) fn run(Args {}: Args) -> Result<(), Failure> {
-    print!("{}", ::node::doctor::report());
-    Ok(())
+    say(::node::doctor::report())
 }

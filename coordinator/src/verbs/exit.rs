@@ -23,11 +23,11 @@ pub(crate) const NOT_ALLOWED: u8 = 77;
 /// A configuration file is wrong.
 pub(crate) const CONFIG: u8 = 78;
 
-/// An error and the code the program leaves with.
+/// The code the program leaves with, and what a person is told, unless another process tells it.
 #[derive(Debug)]
 pub(crate) struct Failure {
     pub(crate) code: u8,
-    pub(crate) error: anyhow::Error,
+    pub(crate) error: Option<anyhow::Error>,
 }
 
 /// Puts a code on an error.
@@ -37,7 +37,7 @@ pub(crate) trait OrExit<T> {
 
 impl<T, E: Into<anyhow::Error>> OrExit<T> for Result<T, E> {
     fn or_exit(self, code: u8) -> Result<T, Failure> {
-        self.map_err(|error| Failure { code, error: error.into() })
+        self.map_err(|error| Failure { code, error: Some(error.into()) })
     }
 }
 

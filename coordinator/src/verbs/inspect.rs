@@ -1,6 +1,7 @@
 //! `inspect`: what is in a scene file.
 
-use super::exit::{Failure, OTHER, OrExit};
+use super::exit::Failure;
+use super::say::{say, say_json};
 use super::scene_file;
 use std::path::PathBuf;
 
@@ -17,10 +18,5 @@ pub(crate) struct Args {
 pub(crate) fn run(args: Args) -> Result<(), Failure> {
     let store = scene_file::open(&args.scene)?;
     let inspection = protocol::format::inspect::summary(store.skeleton());
-    if args.json {
-        println!("{}", serde_json::to_string_pretty(&inspection).or_exit(OTHER)?);
-    } else {
-        print!("{inspection}");
-    }
-    Ok(())
+    if args.json { say_json(&inspection) } else { say(inspection) }
 }

@@ -9,6 +9,7 @@ mod live;
 mod node;
 mod path;
 mod replay;
+mod say;
 mod scene_file;
 mod synth;
 mod verify;
@@ -79,10 +80,21 @@ pub(crate) fn main() -> ExitCode {
     match done {
         Ok(()) => ExitCode::SUCCESS,
         Err(Failure { code, error }) => {
-            eprintln!("occluster: {error:#}");
+            if let Some(error) = error {
+                eprintln!("occluster: {}", sentence(&error));
+            }
             ExitCode::from(code)
         }
     }
+}
+
+/// The error and those of its causes that it does not name itself.
+fn sentence(error: &anyhow::Error) -> String {
+    error.chain().map(ToString::to_string).fold(String::new(), |said, cause| match said {
+        said if said.is_empty() => cause,
+        said if said.contains(&cause) => said,
+        said => format!("{said}: {cause}"),
+    })
 }
 
 /// Logs go to stderr; `RUST_LOG` goes before `-v` and `-q`, `NO_COLOR` is honoured.

@@ -19,6 +19,9 @@ pub(crate) fn run(args: Args) -> Result<(), Failure> {
     let Args { join, listen, token_stdin: _ } = args;
     let token = ::node::orphan::read_token(&mut std::io::stdin().lock()).or_exit(NOT_ALLOWED)?;
     ::node::orphan::exit_with_parent();
-    ::node::run(::node::NodeOptions { join, listen, token })
-        .map_err(|error| Failure { code: code_of(error.kind), error: error.into() })
+    let failed = |error: ::node::NodeError| match error.told {
+        true => Failure { code: code_of(error.kind), error: None },
+        false => Failure { code: code_of(error.kind), error: Some(error.into()) },
+    };
+    ::node::run(::node::NodeOptions { join, listen, token }).map_err(failed)
 }

@@ -1,6 +1,7 @@
 //! `path`: a camera path through a scene.
 
 use super::exit::{BAD_DATA, Failure, IO, OrExit};
+use super::say::say;
 use super::scene_file;
 use anyhow::Context;
 use coordinator::camera_path::{PathKind, Pose, generate, write_csv};
@@ -39,8 +40,7 @@ pub(crate) fn run(args: Args) -> Result<(), Failure> {
     let store = scene_file::open(&args.scene)?;
     let poses = poses(&store, args.kind, args.frames, args.seed)?;
     write_csv(&args.output, &poses).or_exit(IO)?;
-    println!("{}: {} poses", args.output.display(), poses.len());
-    Ok(())
+    say(format_args!("{}: {} poses", args.output.display(), poses.len()))
 }
 
 /// Poses of a generated path.

@@ -2,6 +2,7 @@
 
 use super::exit::{BAD_DATA, CONFIG, Failure, IO, OTHER, OrExit, USAGE, code_of};
 use super::live::LiveLine;
+use super::say::{say, say_json};
 use super::{path, scene_file};
 use anyhow::{Context, anyhow};
 use coordinator::camera_path::{self, PathKind, Pose};
@@ -82,14 +83,17 @@ pub(crate) fn run(args: Args) -> Result<(), Failure> {
     let json = args.json;
     let (summary, out) = replay(args)?;
     if json {
-        println!("{}", serde_json::to_string_pretty(&summary).or_exit(OTHER)?);
-    } else {
-        print!("{}", table(&summary));
-        if let Some(out) = out {
-            println!("{:<22}{}", "report", out.join("report.html").display());
-        }
+        return say_json(&summary);
     }
-    Ok(())
+    say(with_places(table(&summary), out.as_deref()))
+}
+
+/// The closing table and where the files are.
+pub(super) fn with_places(mut table: String, out: Option<&Path>) -> String {
+    if let Some(out) = out {
+        table += &format!("{:<22}{}", "report", out.join("report.html").display());
+    }
+    table
 }
 
 /// Runs, writes the log where a folder was named, and returns the figures and that folder.
@@ -120,7 +124,7 @@ pub(super) fn replay(args: Args) -> Result<(Summary, Option<PathBuf>), Failure> 
             RunError::Interrupted => OTHER,
             RunError::Failed { kind, .. } => code_of(*kind),
         };
-        Failure { code, error: error.into() }
+        Failure { code, error: Some(error.into()) }
     })?;
 
     let facts = facts(&args.scene, &store);
@@ -151,7 +155,7 @@ fn rig_of(args: &Args, rig: &Rig) -> Result<rig_run::Rig, Failure> {
 
 fn read_path(path: &Path) -> Result<Vec<Pose>, Failure> {
     camera_path::read_csv(path)
-        .map_err(|error| Failure { code: error.exit_code(), error: error.into() })
+        .map_err(|error| Failure { code: error.exit_code(), error: Some(error.into()) })
 }
 
 fn settings(args: &Args, rig: &Rig, store: &Store, frames: usize) -> Result<RunSettings, Failure> {

@@ -6,5 +6,5 @@ use std::path::Path;
 
 pub(super) fn open(path: &Path) -> Result<Store, Failure> {
     Store::open(path)
-        .map_err(|error| Failure { code: code_of(failure_kind(&error)), error: error.into() })
+        .map_err(|error| Failure { code: code_of(failure_kind(&error)), error: Some(error.into()) })
 }

@@ -1,6 +1,7 @@
 //! `synth`: generated scenes.
 
 use super::exit::{Failure, IO, OrExit};
+use super::say::say;
 use ::bake::synth::{Kind, generate, write_glb};
 use std::path::PathBuf;
 
@@ -33,11 +34,6 @@ fn kind(text: &str) -> Result<Kind, String> {
 pub(crate) fn run(args: Args) -> Result<(), Failure> {
     let model = generate(args.kind, args.triangles, args.seed);
     write_glb(&model, &args.output).or_exit(IO)?;
-    println!(
-        "{}: {} triangles, {} objects",
-        args.output.display(),
-        model.triangles(),
-        model.nodes.len()
-    );
-    Ok(())
+    let (name, objects) = (args.output.display(), model.nodes.len());
+    say(format_args!("{name}: {} triangles, {objects} objects", model.triangles()))
 }

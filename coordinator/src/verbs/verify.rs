@@ -1,6 +1,7 @@
 //! `verify`: every checksum and invariant of a scene file.
 
 use super::exit::{BAD_DATA, Failure, OrExit};
+use super::say::say;
 use super::scene_file;
 use std::path::PathBuf;
 
@@ -14,6 +15,6 @@ pub(crate) struct Args {
 pub(crate) fn run(args: Args) -> Result<(), Failure> {
     let store = scene_file::open(&args.scene)?;
     let verified = scene::verify::verify(&store).or_exit(BAD_DATA)?;
-    println!("{}: good: {} meshes, {} bytes", args.scene.display(), verified.blobs, verified.bytes);
-    Ok(())
+    let name = args.scene.display();
+    say(format_args!("{name}: good: {} meshes, {} bytes", verified.blobs, verified.bytes))
 }

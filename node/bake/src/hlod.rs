@@ -2,7 +2,7 @@
 //!
 //! Only an hlod, its children's finest meshes and the packed bytes of its subtree are in memory.
 
-use crate::levels::{CoarseMesh, ERROR_GROWTH, levels};
+use crate::levels::{CoarseMesh, ERROR_GROWTH, Goal, levels};
 use crate::options::Options;
 use crate::pack::{Packed, finest_step, pack, snap};
 use crate::pieces::{Leaf, Piece, Plan};
@@ -54,6 +54,8 @@ pub(crate) struct Top {
     finest: Mesh,
     /// Its error.
     finest_error: f64,
+    /// Distance it was welded within.
+    epsilon: f64,
 }
 
 impl Top {
@@ -97,7 +99,8 @@ pub(crate) fn piece_levels(piece: &Piece, mesh: &Mesh, options: &Options) -> Pie
     let finest =
         pack(mesh, piece.step).expect("pieces without a surviving triangle are not planned");
     let half = mesh.triangles.len() / 2;
-    let coarser = levels(mesh, error, half, usize::MAX, options);
+    let goal = Goal { first_target: half, most: usize::MAX, epsilon: 0.0 };
+    let coarser = levels(mesh, error, goal, options);
     let packed = coarser.into_iter().map(|c| (c.error, pack(&c.mesh, piece.step).expect(HAS_AREA)));
     std::iter::once((error, finest)).chain(packed).collect()
 }
@@ -157,6 +160,7 @@ impl Builder<'_> {
                 finest_error: levels[0].error,
                 built: built(levels, bounds),
                 finest: mesh,
+                epsilon: 0.0,
             };
         }
         let world_from_mesh = self.source.objects[leaf.object as usize].world_from_mesh;
@@ -175,7 +179,7 @@ impl Builder<'_> {
         let placed = mesh.vertices.iter().map(|v| transform.apply(v.position.to_array()).into());
         let bounds = Aabb::of(placed);
         let finest = mesh.placed(&world_from_mesh);
-        Top { finest_error: levels[0].error, built: built(levels, bounds), finest }
+        Top { finest_error: levels[0].error, built: built(levels, bounds), finest, epsilon: 0.0 }
     }
 
     /// An inner hlod over `children`, which lose those levels that it makes needless.
@@ -192,10 +196,13 @@ impl Builder<'_> {
         let farthest = extent.min.abs().max(extent.max.abs()).max_element();
         let step = finest_step(extent.extent().max_element(), farthest);
         error += snap(&mut merged, step);
-        let target = self.options.hlod_triangles.min(merged.triangles.len() / 2);
-        // Nothing above the root takes over from it, so its chain goes on to the end.
-        let most = if node == 0 { usize::MAX } else { self.options.hlod_levels };
-        let mut coarse = levels(&merged, error, target, most, self.options);
+        let goal = Goal {
+            first_target: self.options.hlod_triangles.min(merged.triangles.len() / 2),
+            // Nothing above the root takes over from it, so its chain goes on to the end.
+            most: if node == 0 { usize::MAX } else { self.options.hlod_levels },
+            epsilon: children.iter().map(|child| child.epsilon).fold(0.0, f64::max),
+        };
+        let mut coarse = levels(&merged, error, goal, self.options);
         raise(&mut coarse, children);
         let levels: Vec<PendingLevel> = coarse
             .iter()
@@ -210,10 +217,10 @@ impl Builder<'_> {
         };
         let top = if built.levels.is_empty() {
             let worst = children.iter().map(Top::worst).fold(error, f64::max);
-            Top { built, finest: merged, finest_error: worst }
+            Top { built, finest: merged, finest_error: worst, epsilon: goal.epsilon }
         } else {
             let finest = coarse.swap_remove(0);
-            Top { built, finest: finest.mesh, finest_error: finest.error }
+            Top { built, finest: finest.mesh, finest_error: finest.error, epsilon: finest.epsilon }
         };
         self.inner_ns.fetch_add(start.elapsed().as_nanos() as u64, Ordering::Relaxed);
         top

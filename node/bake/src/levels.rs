@@ -28,32 +28,38 @@ pub(crate) struct CoarseMesh {
     pub(crate) mesh: Mesh,
     /// Deviation from the original surface, mesh units.
     pub(crate) error: f64,
+    /// Distance it was welded within, mesh units.
+    pub(crate) epsilon: f64,
 }
 
-/// Levels of `mesh`, which deviates by `error` from the original: the first with about
-/// `first_target` triangles, each further one with half of the one before, at most `most` of them, as
-/// long as they pay. Errors grow strictly.
+/// How far a chain of levels is to go.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Goal {
+    /// Triangles of the first level; each further one has half of the one before.
+    pub(crate) first_target: usize,
+    /// Most levels.
+    pub(crate) most: usize,
+    /// Distance within which parts of the mesh have been welded before: less has been tried there.
+    pub(crate) epsilon: f64,
+}
+
+/// Levels of `mesh`, which deviates by `error` from the original, as long as they pay. Errors grow
+/// strictly.
 ///
 /// A level's error is the lesser of two: the moves of its vertices added up step by step, and its
 /// deviation from `mesh` measured both ways. The first counts a part that vanished by its own size,
 /// since no more than that was there to be seen, but adds up far more than comes together in one
 /// place; the second counts a part that vanished by its distance to what is left.
-pub(crate) fn levels(
-    mesh: &Mesh,
-    error: f64,
-    first_target: usize,
-    most: usize,
-    options: &Options,
-) -> Vec<CoarseMesh> {
+pub(crate) fn levels(mesh: &Mesh, error: f64, goal: Goal, options: &Options) -> Vec<CoarseMesh> {
     if mesh.triangles.len() <= options.level_least_triangles {
         return Vec::new();
     }
-    let mut reducer = Reducer::new(mesh);
+    let mut reducer = Reducer::new(mesh, &goal);
     let original = Surface::new(mesh);
     let mut levels: Vec<CoarseMesh> = Vec::new();
-    let mut target = first_target;
+    let mut target = goal.first_target;
     let mut finer = error;
-    while levels.len() < most {
+    while levels.len() < goal.most {
         let before = levels.last().map_or(mesh, |level| &level.mesh);
         if before.triangles.len() <= options.level_least_triangles {
             break;
@@ -77,9 +83,10 @@ struct Reducer {
 }
 
 impl Reducer {
-    fn new(mesh: &Mesh) -> Self {
+    fn new(mesh: &Mesh, goal: &Goal) -> Self {
         let diagonal = mesh.bounds().diagonal();
-        Self { epsilon: diagonal * FIRST_EPSILON, last_epsilon: diagonal * LAST_EPSILON }
+        let last_epsilon = diagonal * LAST_EPSILON;
+        Self { epsilon: goal.epsilon.max(diagonal * FIRST_EPSILON).min(last_epsilon), last_epsilon }
     }
 
     /// A mesh of about `target` triangles, or as near as the last epsilon gets; `None` if that does
@@ -98,7 +105,7 @@ impl Reducer {
             let error =
                 (so_far + welded.displacement + simplified.error).max(so_far * ERROR_GROWTH);
             let done = coarse.triangles.len() <= enough;
-            best = Some(CoarseMesh { mesh: coarse, error });
+            best = Some(CoarseMesh { mesh: coarse, error, epsilon: self.epsilon });
             if done || self.epsilon >= self.last_epsilon {
                 break;
             }
@@ -147,22 +154,26 @@ mod tests {
         mesh.triangles.iter().map(of).sum()
     }
 
+    fn goal(first_target: usize) -> Goal {
+        Goal { first_target, most: 20, epsilon: 0.0 }
+    }
+
     #[test]
     fn nothing_and_little_have_no_levels() {
         let options = Options::default();
-        assert!(levels(&Mesh::default(), 0.1, 4, 9, &options).is_empty());
-        assert!(levels(&quads(2, 0.1), 0.1, 4, 9, &options).is_empty());
+        assert!(levels(&Mesh::default(), 0.1, goal(4), &options).is_empty());
+        assert!(levels(&quads(2, 0.1), 0.1, goal(4), &options).is_empty());
         let heap = flat(
             vec![DVec3::splat(1e7); 60],
             (0..20).map(|i| [3 * i, 3 * i + 1, 3 * i + 2]).collect(),
         );
-        assert!(levels(&heap, 0.1, 10, 9, &options).is_empty());
+        assert!(levels(&heap, 0.1, goal(10), &options).is_empty());
     }
 
     #[test]
     fn nearly_touching_quads_become_few_and_keep_their_area() {
         let mesh = quads(40, 0.01);
-        let levels = levels(&mesh, 1e-6, 1600, 20, &Options::default());
+        let levels = levels(&mesh, 1e-6, goal(1600), &Options::default());
         let last = levels.last().unwrap();
         assert!(last.mesh.triangles.len() <= 16, "{}", last.mesh.triangles.len());
         for level in &levels {
@@ -172,7 +183,7 @@ mod tests {
 
     #[test]
     fn far_apart_parts_are_reduced_too_and_errors_grow_strictly() {
-        let levels = levels(&quads(40, 0.5), 1e-6, 1600, 20, &Options::default());
+        let levels = levels(&quads(40, 0.5), 1e-6, goal(1600), &Options::default());
         assert!(levels.len() >= 4, "{}", levels.len());
         assert!(levels.windows(2).all(|w| w[0].error < w[1].error));
         assert!(levels.windows(2).all(|w| {

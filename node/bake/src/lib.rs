@@ -4,6 +4,7 @@ mod hlod;
 pub mod import;
 mod levels;
 pub mod options;
+mod output;
 mod pack;
 mod pieces;
 pub mod pipeline;

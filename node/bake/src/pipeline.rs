@@ -1,16 +1,15 @@
 //! The whole bake: sources in, one scene file out.
 
-use crate::hlod::{
-    Builder, Built, Geometry, PendingLevel, PieceLevels, Subtree, Top, WrittenLevel, piece_levels,
-};
+use crate::hlod::{Builder, PieceLevels, Subtree, Top, WrittenLevel, piece_levels};
 use crate::import::{ImportError, ImportErrorKind, import};
 use crate::options::{Options, OptionsError};
+use crate::output::Output;
 use crate::pieces::{Plan, plan};
 use crate::progress::Progress;
 use crate::source::Source;
-use crate::summary::{StageSeconds, Summary, TreeDepth, peak_memory_bytes};
+use crate::summary::{StageSeconds, Summary, peak_memory_bytes};
 use geometry::hierarchy::{self, Tree};
-use protocol::format::{Hlod, Level, NONE, SceneInfo, SceneWriter, WriteError};
+use protocol::format::WriteError;
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicU64;
@@ -150,12 +149,7 @@ fn run(
     let tree = hierarchy::build(&boxes, options.branching);
     seconds.hierarchy = lap();
 
-    let mut output = Output {
-        writer: SceneWriter::create(output)?,
-        hlods: vec![None; tree.nodes.len()],
-        written_triangles: 0,
-        seconds: 0.0,
-    };
+    let mut output = Output::create(output, tree.nodes.len())?;
     progress.stage("levels", tree.nodes.len() as u64);
     let shared = write_shared(source, &plan, options, &mut output)?;
     seconds.lods = lap() - output.seconds;
@@ -206,15 +200,8 @@ fn write_shared(
         for levels in made {
             let mut written = Vec::with_capacity(levels.len());
             for (error, packed) in levels {
-                let triangles = packed.triangles();
-                let blob = output.writer.add_blob(
-                    packed.origin,
-                    packed.step,
-                    &packed.vertices,
-                    &packed.indices,
-                )?;
-                output.written_triangles += u64::from(triangles);
-                written.push(WrittenLevel { error, blob, triangles });
+                let blob = output.write_mesh(&packed)?;
+                written.push(WrittenLevel { error, blob, triangles: packed.triangles() });
             }
             shared.push(written);
         }
@@ -274,121 +261,6 @@ fn source_triangles(plan: &Plan, tree: &Tree) -> Vec<u64> {
         }
     }
     triangles
-}
-
-/// What has been written so far.
-struct Output {
-    writer: SceneWriter,
-    /// By node: the hlod, its links and first level still open, and its levels.
-    hlods: Vec<Option<(Hlod, Vec<Level>)>>,
-    written_triangles: u64,
-    /// Spent writing.
-    seconds: f64,
-}
-
-impl Output {
-    fn write(&mut self, built: Built) -> Result<(), WriteError> {
-        let start = Instant::now();
-        let mut levels = Vec::with_capacity(built.levels.len());
-        for level in built.levels {
-            let PendingLevel { error, geometry, triangles, transform } = level;
-            let blob = match geometry {
-                Geometry::Written(blob) => blob,
-                Geometry::Packed(p) => {
-                    self.written_triangles += u64::from(triangles);
-                    self.writer.add_blob(p.origin, p.step, &p.vertices, &p.indices)?
-                }
-            };
-            levels.push(Level { error, blob: blob.0, transform, triangles, reserved: 0 });
-        }
-        let hlod = Hlod {
-            min: built.bounds.min.to_array(),
-            max: built.bounds.max.to_array(),
-            parent: NONE,
-            first_child: 0,
-            child_count: 0,
-            first_level: 0,
-            level_count: levels.len() as u32,
-            object: built.object,
-            source_triangles: built.source_triangles,
-        };
-        self.hlods[built.node as usize] = Some((hlod, levels));
-        self.seconds += start.elapsed().as_secs_f64();
-        Ok(())
-    }
-
-    /// Numbers the levels, links the tree and completes the file.
-    fn finish(
-        self,
-        source: &Source,
-        plan: &Plan,
-        tree: &Tree,
-        options: &Options,
-    ) -> Result<Summary, WriteError> {
-        let mut hlods = Vec::with_capacity(tree.nodes.len());
-        let mut levels = Vec::new();
-        let mut depths: Vec<TreeDepth> = Vec::new();
-        let by_node = self.hlods.into_iter().zip(&tree.nodes).zip(tree.depths());
-        for ((written, node), depth) in by_node {
-            let (mut hlod, own) = written.expect("every node was written");
-            hlod.parent = node.parent.unwrap_or(NONE);
-            hlod.first_child = node.first_child;
-            hlod.child_count = node.child_count;
-            hlod.first_level = levels.len() as u32;
-            if depths.len() <= depth as usize {
-                depths.resize(depth as usize + 1, TreeDepth::default());
-            }
-            let row = &mut depths[depth as usize];
-            row.hlods += 1;
-            row.leaves += u64::from(node.item.is_some());
-            row.finest_triangles += own.first().map_or(0, |level| u64::from(level.triangles));
-            row.coarsest_triangles += own.last().map_or(0, |level| u64::from(level.triangles));
-            levels.extend(own);
-            hlods.push(hlod);
-        }
-        let source_triangles = hlods[0].source_triangles;
-        let unique_triangles = plan.pieces.iter().map(|piece| piece.triangles()).sum();
-        let info = SceneInfo {
-            up: source.up,
-            source_triangles,
-            unique_triangles,
-            objects: source.objects.len() as u32,
-            reserved: 0,
-            seed: options.seed,
-            reserved2: 0,
-        };
-        let summary = Summary {
-            source_triangles,
-            unique_triangles,
-            written_triangles: self.written_triangles,
-            objects: source.objects.len() as u64,
-            shared_meshes: shared_meshes(source),
-            leaves: plan.leaves.len() as u64,
-            hlods: hlods.len() as u64,
-            levels: levels.len() as u64,
-            source_bytes: source_bytes(source),
-            file_bytes: 0,
-            digest: String::new(),
-            depths,
-            seconds: StageSeconds { write: self.seconds, ..StageSeconds::default() },
-            peak_memory_bytes: None,
-            notes: source.notes.iter().chain(&plan.notes).cloned().collect(),
-        };
-        let finished = self.writer.finish(info, hlods, levels, plan.transforms.clone())?;
-        let digest = finished.digest.iter().map(|byte| format!("{byte:02x}")).collect();
-        Ok(Summary { file_bytes: finished.bytes, digest, ..summary })
-    }
-}
-
-fn shared_meshes(source: &Source) -> u64 {
-    let mut users = vec![0u32; source.meshes.len()];
-    source.objects.iter().for_each(|object| users[object.mesh] += 1);
-    users.iter().filter(|&&count| count > 1).count() as u64
-}
-
-/// Positions and normals of 12 bytes, colours of 4, triangles of 12.
-fn source_bytes(source: &Source) -> u64 {
-    source.meshes.iter().map(|m| 28 * m.positions.len() as u64 + 12 * m.indices.len() as u64).sum()
 }
 
 #[cfg(test)]

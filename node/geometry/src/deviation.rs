@@ -118,11 +118,15 @@ pub fn fine_samples(mesh: &Mesh) -> impl Iterator<Item = DVec3> + Clone + '_ {
     vertices.chain(mesh.triangles.iter().map(|t| mesh.corners(*t).into_iter().sum::<DVec3>() / 3.0))
 }
 
-/// Samples of a mesh whose vertices are known to be where they should: centroids and edge midpoints.
+/// Samples of a mesh whose vertices are known to be where they should: centroids and edge midpoints,
+/// those of an edge shared by two triangles once.
 pub fn inner_samples(mesh: &Mesh) -> impl Iterator<Item = DVec3> + Clone + '_ {
     mesh.triangles.iter().flat_map(|t| {
-        let [a, b, c] = mesh.corners(*t);
-        [(a + b + c) / 3.0, (a + b) * 0.5, (b + c) * 0.5, (c + a) * 0.5]
+        let corners = mesh.corners(*t);
+        // Neighbours run along a shared edge in opposite directions.
+        let ascending = (0..3).filter(|&k| t[k] < t[(k + 1) % 3]);
+        let middles = ascending.map(move |k| (corners[k] + corners[(k + 1) % 3]) * 0.5);
+        std::iter::once(corners.into_iter().sum::<DVec3>() / 3.0).chain(middles)
     })
 }
 

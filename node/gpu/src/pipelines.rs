@@ -3,7 +3,7 @@
 use crate::device::Device;
 use crate::targets::{COLOR_FORMAT, DEPTH_FORMAT, ITEMS_FORMAT};
 use shaders::mirror::{BoxInstance, Field, Frame, Instance, Kind, Vertex};
-use wgpu::{CompareFunction, PrimitiveTopology, TextureFormat, VertexFormat};
+use wgpu::{CompareFunction, TextureFormat, VertexFormat};
 
 /// Everything that does not change after the start.
 pub(crate) struct Pipelines {
@@ -30,7 +30,6 @@ struct Recipe<'a> {
     target: Option<TextureFormat>,
     group: &'a wgpu::BindGroupLayout,
     buffers: &'a [Option<wgpu::VertexBufferLayout<'a>>],
-    topology: PrimitiveTopology,
     depth_write: bool,
     compare: CompareFunction,
 }
@@ -80,7 +79,6 @@ impl Pipelines {
             target: None,
             group: &frame_layout,
             buffers: &mesh_buffers,
-            topology: PrimitiveTopology::TriangleList,
             depth_write: true,
             compare: CompareFunction::GreaterEqual,
         };
@@ -89,7 +87,6 @@ impl Pipelines {
             source: shaders::BOX_QUERY,
             vertex: "query_vertex",
             buffers: &box_buffers,
-            topology: PrimitiveTopology::TriangleStrip,
             depth_write: false,
             compare: if inclusive_depth_test {
                 CompareFunction::GreaterEqual
@@ -166,12 +163,8 @@ fn compile(device: &wgpu::Device, recipe: &Recipe<'_>) -> wgpu::RenderPipeline {
             compilation_options: Default::default(),
             buffers: recipe.buffers,
         },
-        // Both faces: scanned and imported meshes wind either way, and of a box all faces count.
-        primitive: wgpu::PrimitiveState {
-            topology: recipe.topology,
-            cull_mode: None,
-            ..Default::default()
-        },
+        // No face is culled: scanned and imported meshes wind either way.
+        primitive: wgpu::PrimitiveState { cull_mode: None, ..Default::default() },
         depth_stencil: Some(wgpu::DepthStencilState {
             format: DEPTH_FORMAT,
             depth_write_enabled: Some(recipe.depth_write),

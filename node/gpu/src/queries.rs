@@ -6,7 +6,7 @@ use crate::device::Device;
 use crate::readback::Readback;
 use crate::targets::Target;
 use scene::backend::{BackendError, BoxQuery};
-use shaders::BOX_STRIP_VERTICES;
+use shaders::BOX_VERTICES;
 use shaders::mirror::BoxInstance;
 
 /// Queries of a set: WebGPU's limit, and the grain in which answers stream.
@@ -76,7 +76,7 @@ pub(crate) fn submit_queries(
             for query in start..(start + PASS).min(count as u32) {
                 let instance = first as u32 + query;
                 pass.begin_occlusion_query(query);
-                pass.draw(0..BOX_STRIP_VERTICES, instance..instance + 1);
+                pass.draw(0..BOX_VERTICES, instance..instance + 1);
                 pass.end_occlusion_query();
             }
         }
@@ -129,7 +129,7 @@ pub(crate) fn submit_marks(
     pass.set_pipeline(pipeline);
     pass.set_bind_group(0, &group, &[]);
     pass.set_vertex_buffer(0, instances.slice(..));
-    pass.draw(0..BOX_STRIP_VERTICES, 0..boxes as u32);
+    pass.draw(0..BOX_VERTICES, 0..boxes as u32);
     drop(pass);
     encoder.copy_buffer_to_buffer(&marks, 0, answers.buffer(), 0, bytes);
     let submission = device.queue.submit([encoder.finish()]);

@@ -35,8 +35,8 @@
 //! A box grown by the sum `g` on every side holds the ball of radius `g` around each of its points. Let
 //! `q` be a point of the displaced geometry. Displacing the grown box's faces by less than `q`'s distance
 //! to them leaves `q` enclosed, so the ray from the eye, which is outside, meets a front face before
-//! `q`, still by the share of `g` that stands for the depth error. Both faces of the box are rasterised,
-//! watertight by the fill rule, so the pixel is covered.
+//! `q`, still by the share of `g` that stands for the depth error. The faces turned to the eye
+//! are rasterised, which cover the box's whole outline, watertight by the fill rule; so the pixel is covered.
 //!
 //! The bound is taken over the *grown* box: with `g1` from the box itself, and `g2` from the box
 //! grown by `2 g1`, the box grown by `g2` lies within that if `g2 <= 2 g1`. Else, and wherever the

@@ -3,7 +3,7 @@ use crate::progress::Silent;
 use crate::source::{SourceMesh, SourceObject};
 use geometry::bounds::Aabb;
 use glam::{DAffine3, DQuat, DVec3};
-use protocol::format::{SceneFile, Skeleton, check, parse, read_blob};
+use protocol::format::{Hlod, Level, SceneFile, Skeleton, check, parse, read_blob};
 use protocol::id::HlodId;
 use std::fs::File;
 
