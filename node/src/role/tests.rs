@@ -135,6 +135,19 @@ fn the_audit_sees_boxes_that_fail_against_their_own_faces() {
 }
 
 #[test]
+fn the_audit_sees_greater_for_greater_equal() {
+    // Seen head on, a wall and its box have the same depth to the bit: no box need grow here.
+    let wall = Piece::tight([-8.0, 8.0, -8.0], [8.0, 16.0, 8.0]);
+    let lost = |depth_test_inclusive| {
+        let rules = Rules { grow: false, depth_test_inclusive, ..Rules::default() };
+        let seen = play(&[wall], &[look([0.0; 3], [0.0, 1.0, 0.0]); 2], Cull::Queries, rules);
+        seen.iter().map(|frame| frame.differing).sum::<u64>()
+    };
+    assert_eq!(lost(true), 0);
+    assert!(lost(false) > 0);
+}
+
+#[test]
 fn geometry_is_read_once() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("scene.occ");
