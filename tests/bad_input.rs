@@ -5,6 +5,7 @@
 mod support;
 
 use std::path::{Path, PathBuf};
+use std::process::Stdio;
 use support::{Scene, fail, occluster, succeed, text};
 use tempfile::TempDir;
 
@@ -215,4 +216,16 @@ fn a_node_without_a_coordinator_or_a_token_says_so() {
     assert_eq!(code, Some(77), "{says}");
     let (code, says) = node(&format!("{}\n", "ab".repeat(32)));
     assert_eq!(code, Some(69), "{says}");
+}
+
+#[test]
+fn a_reader_that_has_gone_away_is_no_reason_to_panic() {
+    let mut command = occluster();
+    let mut doctor =
+        command.arg("doctor").stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    drop(doctor.stdout.take());
+    let output = doctor.wait_with_output().unwrap();
+    let says = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(74), "{says}");
+    assert!(!says.contains("panicked") && !says.contains("occluster:"), "{says}");
 }

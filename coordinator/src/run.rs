@@ -172,18 +172,22 @@ async fn sleep_until(deadline: Option<tokio::time::Instant>) {
 /// Ends at Ctrl-C or, where there is such a thing, a request to terminate.
 fn interrupted() -> Result<impl Future<Output = ()>, RunError> {
     #[cfg(unix)]
-    let mut terminate = {
+    let (mut terminate, mut hangup) = {
         use tokio::signal::unix::{SignalKind, signal};
-        signal(SignalKind::terminate()).map_err(|error| {
-            let reason = format!("cannot listen for signals: {error}");
-            RunError::new(FailureKind::Unavailable, reason)
-        })?
+        let listen = |kind| {
+            signal(kind).map_err(|error| {
+                let reason = format!("cannot listen for signals: {error}");
+                RunError::new(FailureKind::Unavailable, reason)
+            })
+        };
+        (listen(SignalKind::terminate())?, listen(SignalKind::hangup())?)
     };
     Ok(async move {
         #[cfg(unix)]
         tokio::select! {
             _ = tokio::signal::ctrl_c() => {}
             _ = terminate.recv() => {}
+            _ = hangup.recv() => {}
         }
         #[cfg(not(unix))]
         let _ = tokio::signal::ctrl_c().await;

@@ -146,7 +146,8 @@ fn row(lookup: &Lookup<'_>, frame: u32, hlods: u64) -> Option<FrameRow> {
     fill_times(&mut row, lookup, (or_phase, or), (hc_seat, hc), (rvg_seat, rvg_phase, rvg));
     fill_counts(&mut row, &cull, &draw, or.draw.as_ref(), hlods);
     let before = lookup.before(hc_phase);
-    let bytes = |to: Seat| sent(Some(hc_phase), hc_seat, to) - sent(before, hc_seat, to);
+    let bytes =
+        |to: Seat| sent(Some(hc_phase), hc_seat, to).saturating_sub(sent(before, hc_seat, to));
     for seat in schedule::receivers(lookup.0.settings.schedule, FrameIndex(frame)) {
         if seat == rvg_seat {
             row.hc_to_rvg_bytes = bytes(seat);
@@ -154,7 +155,7 @@ fn row(lookup: &Lookup<'_>, frame: u32, hlods: u64) -> Option<FrameRow> {
             row.hc_to_or_bytes = bytes(seat);
         }
     }
-    row.control_bytes = control(Some(hc_phase)) - control(before);
+    row.control_bytes = control(Some(hc_phase)).saturating_sub(control(before));
     for io in rvg_phase.reports.iter().map(|(_, report)| report.io) {
         row.io_hits += io.hits;
         row.io_misses += io.misses;

@@ -8,6 +8,9 @@ pub mod summary;
 pub mod table;
 pub mod trace;
 
+#[cfg(test)]
+mod tests;
+
 use crate::record::RunRecord;
 use std::io::Write;
 use std::path::{Path, PathBuf};

@@ -1,6 +1,7 @@
 //! `bake`: source scene to scene file.
 
 use super::exit::{CONFIG, Failure, OrExit};
+use super::interrupt::{During, Work};
 use super::say::{say, say_json};
 use ::bake::Options;
 use ::bake::progress::Bars;
@@ -45,6 +46,7 @@ pub(super) fn bake_file(
     output: &Path,
     options: &Options,
 ) -> Result<::bake::Summary, Failure> {
+    let _during = During::new(Work::Baking(output.to_owned()));
     ::bake::bake(inputs, output, options, &Bars::default())
         .map_err(|error| Failure { code: error.exit_code(), error: Some(error.into()) })
 }

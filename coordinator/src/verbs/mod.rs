@@ -5,6 +5,7 @@ mod demo;
 mod doctor;
 mod exit;
 mod inspect;
+mod interrupt;
 mod live;
 mod node;
 mod path;

@@ -1,6 +1,7 @@
 //! `replay`: a run along a camera path, and its log.
 
 use super::exit::{BAD_DATA, CONFIG, Failure, IO, OTHER, OrExit, USAGE, code_of};
+use super::interrupt::{During, Work};
 use super::live::LiveLine;
 use super::say::{say, say_json};
 use super::{path, scene_file};
@@ -116,6 +117,7 @@ pub(super) fn replay(args: Args) -> Result<(Summary, Option<PathBuf>), Failure> 
     let settings = settings(&args, &rig, &store, cameras.len())?;
     let frames = settings.frames;
     let plan = RunPlan { settings, cameras, rig: rig_of(&args, &rig)? };
+    let _during = During::new(Work::Running);
     let mut live = LiveLine::new(frames);
     let record = rig_run::run(plan, &mut |phase| live.show(phase));
     live.clear();

@@ -99,6 +99,17 @@ impl SceneWriter {
         Ok(writer)
     }
 
+    /// Removes what this process has begun to write for `path`: for an exit that drops no writer.
+    pub fn abandon(path: &Path) {
+        let Some(begins) = Temporary::begins(path) else { return };
+        for entry in std::fs::read_dir(folder_of(path)).into_iter().flatten().flatten() {
+            if entry.file_name().as_encoded_bytes().starts_with(begins.as_encoded_bytes()) {
+                // Nobody is left to tell if this fails; the name says what the file is.
+                let _ = std::fs::remove_file(entry.path());
+            }
+        }
+    }
+
     /// Appends a mesh: `origin` and `step` place its grid in mesh space.
     ///
     /// # Panics
@@ -229,12 +240,11 @@ impl Temporary {
     /// Makes a file beside `target` that no other writer has, of this process or another.
     fn create(target: &Path) -> io::Result<(Self, File)> {
         static COUNTER: AtomicU64 = AtomicU64::new(0);
-        let name = target.file_name().ok_or(io::ErrorKind::InvalidInput)?;
+        let begins = Self::begins(target).ok_or(io::ErrorKind::InvalidInput)?;
         loop {
-            let mut temporary = std::ffi::OsString::from(".");
-            temporary.push(name);
+            let mut temporary = begins.clone();
             let count = COUNTER.fetch_add(1, Ordering::Relaxed);
-            temporary.push(format!(".{}.{count}.tmp", std::process::id()));
+            temporary.push(format!("{count}.tmp"));
             let path = folder_of(target).join(temporary);
             match OpenOptions::new().write(true).create_new(true).open(&path) {
                 Ok(file) => return Ok((Self { path: Some(path) }, file)),
@@ -243,6 +253,14 @@ impl Temporary {
                 Err(e) => return Err(e),
             }
         }
+    }
+
+    /// How the names of this process's files for `target` begin; none where that names no file.
+    fn begins(target: &Path) -> Option<std::ffi::OsString> {
+        let mut begins = std::ffi::OsString::from(".");
+        begins.push(target.file_name()?);
+        begins.push(format!(".{}.", std::process::id()));
+        Some(begins)
     }
 
     /// Renames the file to `target`, for good once the folder is on the disk too.
