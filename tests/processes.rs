@@ -92,7 +92,7 @@ fn whatever_dies_first_nobody_stays_behind() {
         assert_eq!(code, Some(69), "{says}");
         assert!(says.contains("seat"), "{says}");
     }
-    for name in ["INT", "TERM", "HUP"] {
+    for name in ["INT", "TERM"] {
         let out = scene.file(name);
         let run = LongRun::start(&scene, &["--out", text(&out), "--pictures", "png"]);
         signal(run.coordinator.id(), name);

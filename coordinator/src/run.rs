@@ -172,22 +172,18 @@ async fn sleep_until(deadline: Option<tokio::time::Instant>) {
 /// Ends at Ctrl-C or, where there is such a thing, a request to terminate.
 fn interrupted() -> Result<impl Future<Output = ()>, RunError> {
     #[cfg(unix)]
-    let (mut terminate, mut hangup) = {
+    let mut terminate = {
         use tokio::signal::unix::{SignalKind, signal};
-        let listen = |kind| {
-            signal(kind).map_err(|error| {
-                let reason = format!("cannot listen for signals: {error}");
-                RunError::new(FailureKind::Unavailable, reason)
-            })
-        };
-        (listen(SignalKind::terminate())?, listen(SignalKind::hangup())?)
+        signal(SignalKind::terminate()).map_err(|error| {
+            let reason = format!("cannot listen for signals: {error}");
+            RunError::new(FailureKind::Unavailable, reason)
+        })?
     };
     Ok(async move {
         #[cfg(unix)]
         tokio::select! {
             _ = tokio::signal::ctrl_c() => {}
             _ = terminate.recv() => {}
-            _ = hangup.recv() => {}
         }
         #[cfg(not(unix))]
         let _ = tokio::signal::ctrl_c().await;

@@ -3,7 +3,7 @@
 use super::exit::OTHER;
 use protocol::format::SceneWriter;
 use std::path::PathBuf;
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::{Mutex, MutexGuard, Once, PoisonError};
 
 /// What an interrupt finds the program at.
 #[derive(Debug, Default)]
@@ -29,10 +29,8 @@ pub(super) struct During;
 impl During {
     pub(super) fn new(now: Work) -> Self {
         *work() = now;
-        // The work after the first finds the handler in place.
-        if let Err(error) = ctrlc::try_set_handler(interrupted) {
-            tracing::debug!("interrupts are handled already, or not at all: {error}");
-        }
+        static LISTENING: Once = Once::new();
+        LISTENING.call_once(listen);
         Self
     }
 }
@@ -43,6 +41,21 @@ impl Drop for During {
     }
 }
 
+/// Hears of signals on a thread of its own; elsewhere than on Unix the system ends the program.
+fn listen() {
+    #[cfg(unix)]
+    match signal_hook::iterator::Signals::new([
+        signal_hook::consts::SIGINT,
+        signal_hook::consts::SIGTERM,
+    ]) {
+        Ok(mut signals) => {
+            std::thread::spawn(move || signals.forever().for_each(|_| interrupted()));
+        }
+        Err(error) => tracing::warn!("an interrupt will leave unfinished files behind: {error}"),
+    }
+}
+
+#[cfg(unix)]
 fn interrupted() {
     match &*work() {
         Work::Running => return,
