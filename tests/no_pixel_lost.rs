@@ -77,7 +77,7 @@ fn real_scenes_keep_every_pixel() {
 }
 
 #[test]
-#[ignore = "the whole sweep, tens of minutes: run it in release"]
+#[ignore = "the whole sweep, minutes: run it in release"]
 fn whole_walks_orbits_and_zooms_keep_every_pixel() {
     let generated =
         [("plant", 1_000_000), ("pipes", 1_000_000)].map(|(kind, n)| (kind, Scene::synth(kind, n)));
