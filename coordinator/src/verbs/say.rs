@@ -5,13 +5,16 @@ use serde::Serialize;
 use std::fmt::Display;
 use std::io::{ErrorKind, Write};
 
-/// Writes `text` and a line end.
+/// Writes `text`, ended by one line end.
 pub(super) fn say(text: impl Display) -> Result<(), Failure> {
+    let text = text.to_string();
     let mut out = std::io::stdout().lock();
-    writeln!(out, "{text}").and_then(|()| out.flush()).map_err(|error| Failure {
-        code: IO,
-        error: (error.kind() != ErrorKind::BrokenPipe)
-            .then(|| anyhow::Error::from(error).context("cannot write to standard output")),
+    writeln!(out, "{}", text.trim_end_matches('\n')).and_then(|()| out.flush()).map_err(|error| {
+        Failure {
+            code: IO,
+            error: (error.kind() != ErrorKind::BrokenPipe)
+                .then(|| anyhow::Error::from(error).context("cannot write to standard output")),
+        }
     })
 }
 
