@@ -123,7 +123,7 @@ mod tests {
     use glam::{DVec3, Vec3};
 
     fn flat(positions: Vec<DVec3>, triangles: Vec<[u32; 3]>) -> Mesh {
-        let vertex = |position| MeshVertex { position, normal: Vec3::Z, color: [9, 9, 9, 255] };
+        let vertex = |position| MeshVertex::plain(position, Vec3::Z, [9, 9, 9, 255]);
         Mesh { vertices: positions.into_iter().map(vertex).collect(), triangles }
     }
 

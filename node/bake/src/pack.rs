@@ -126,8 +126,7 @@ mod tests {
     use glam::Vec3;
 
     fn triangle(corners: [[f64; 3]; 3]) -> Mesh {
-        let vertex =
-            |p| MeshVertex { position: DVec3::from_array(p), normal: Vec3::Z, color: [1, 2, 3, 4] };
+        let vertex = |p| MeshVertex::plain(DVec3::from_array(p), Vec3::Z, [1, 2, 3, 4]);
         Mesh { vertices: corners.map(vertex).to_vec(), triangles: vec![[0, 1, 2]] }
     }
 

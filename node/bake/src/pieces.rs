@@ -50,11 +50,8 @@ impl Piece {
         used.dedup();
         let vertex = |&index: &u32| {
             let i = index as usize;
-            MeshVertex {
-                position: Vec3::from_array(mesh.positions[i]).as_dvec3(),
-                normal: Vec3::from_array(mesh.normals[i]),
-                color: mesh.colors[i],
-            }
+            let position = Vec3::from_array(mesh.positions[i]).as_dvec3();
+            MeshVertex::plain(position, Vec3::from_array(mesh.normals[i]), mesh.colors[i])
         };
         let local = |index: u32| used.partition_point(|&other| other < index) as u32;
         let gathered = Mesh {

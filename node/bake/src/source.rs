@@ -14,15 +14,81 @@ pub struct SourceMesh {
     /// Unit normals, one a position. Where the file has none, vertices are duplicated and each
     /// triangle gets its face normal (glTF 2.0, section 3.7.2.1, "flat normals").
     pub normals: Vec<[f32; 3]>,
-    /// Linear RGBA, 8 bits a channel, one a position: vertex colour times base colour factor
-    /// times the mean of the base colour texture, that mean taken in linear light.
+    /// Linear RGBA, 8 bits a channel, one a position: vertex colour times base colour factor. A
+    /// texture's colour multiplies it when drawn. Alpha is 255 where the surface is opaque.
     pub colors: Vec<[u8; 4]>,
+    /// Texture coordinates, (0, 0) being the top left corner of a picture: one a position, or none at
+    /// all where no surface of the mesh has a texture.
+    pub tex_coords: Vec<[f32; 2]>,
     /// Triangles, counter-clockwise seen from the front. None at all, if every triangle that the
     /// file holds is degenerate.
     pub indices: Vec<[u32; 3]>,
+    /// What the triangles are made of: runs that cover `indices` one after the other. A vertex is
+    /// used by triangles of one surface alone.
+    pub sections: Vec<Section>,
     /// Triangles the file holds that are left out of `indices` because they are exactly
     /// degenerate.
     pub dropped_degenerate: u64,
+}
+
+/// A run of triangles of one surface.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Section {
+    /// One past its last triangle.
+    pub end: u32,
+    /// Index into [`Source::surfaces`].
+    pub surface: u16,
+}
+
+/// How alpha acts (glTF 2.0, section 3.9.4).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Alpha {
+    /// Not at all.
+    Opaque,
+    /// What has less alpha than this is not there.
+    Mask(f32),
+    /// Mixed with what lies behind.
+    Blend,
+}
+
+/// How texture coordinates go on outside a picture.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Wrap {
+    /// Again from the other side.
+    Repeat,
+    /// The border's colour for ever.
+    Clamp,
+    /// Back and forth.
+    Mirror,
+}
+
+/// What triangles are made of, apart from their colour.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Surface {
+    /// How alpha acts.
+    pub alpha: Alpha,
+    /// Seen from behind as well. Formats that do not say so are double-sided.
+    pub double_sided: bool,
+    /// Index into [`Source::textures`].
+    pub texture: Option<u32>,
+}
+
+impl Surface {
+    /// An opaque surface seen from both sides.
+    pub const PLAIN: Self = Self { alpha: Alpha::Opaque, double_sided: true, texture: None };
+}
+
+/// A base colour picture, already no larger than the bake's limit.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Texture {
+    /// The file's own name for it, or a made-up one.
+    pub name: String,
+    /// Pixels along each side: a power of two.
+    pub side: u32,
+    /// sRGB-encoded RGBA, `4 * side * side` bytes, top row first.
+    pub rgba: Vec<u8>,
+    /// Horizontally and vertically.
+    pub wrap: [Wrap; 2],
 }
 
 impl SourceMesh {
@@ -54,6 +120,17 @@ impl SourceObject {
     }
 }
 
+/// Takes what an importer reads, piece by piece, so that no scene need be in memory as a whole.
+///
+/// Meshes and textures are numbered in the order of the calls, from 0 in each scene file: by these
+/// numbers [`SourceObject::mesh`] and [`Surface::texture`] refer to them.
+pub trait Sink {
+    /// Takes the next mesh.
+    fn mesh(&mut self, mesh: SourceMesh) -> std::io::Result<()>;
+    /// Takes the next texture.
+    fn texture(&mut self, texture: Texture) -> std::io::Result<()>;
+}
+
 /// A whole source scene.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Source {
@@ -62,6 +139,10 @@ pub struct Source {
     pub meshes: Vec<SourceMesh>,
     /// Objects, in the order of a depth-first walk over the file's nodes.
     pub objects: Vec<SourceObject>,
+    /// Distinct surfaces. The first is [`Surface::PLAIN`].
+    pub surfaces: Vec<Surface>,
+    /// Base colour pictures, each used by a surface.
+    pub textures: Vec<Texture>,
     /// The up direction of the scene's axes, unit length.
     pub up: [f64; 3],
     /// What was skipped or simplified, one sentence each, for the summary.

@@ -12,6 +12,21 @@ pub struct MeshVertex {
     pub normal: Vec3,
     /// Linear RGBA, 8 bits a channel.
     pub color: [u8; 4],
+    /// Texture coordinates; zero where the surface has no texture.
+    pub tex_coord: [f32; 2],
+    /// What the triangles of this vertex are made of: a number whose meaning is the caller's. All
+    /// corners of a triangle have the same.
+    pub surface: u16,
+    /// A vertex on the border to a neighbouring piece stays where it is in every hlod that lies
+    /// deeper in the tree than this: there both sides have met. [`u8::MAX`] for all others.
+    pub seam: u8,
+}
+
+impl MeshVertex {
+    /// A plain vertex: no texture, no border, surface 0.
+    pub fn plain(position: DVec3, normal: Vec3, color: [u8; 4]) -> Self {
+        Self { position, normal, color, tex_coord: [0.0; 2], surface: 0, seam: u8::MAX }
+    }
 }
 
 /// An indexed triangle mesh. Every index is below `vertices.len()`.
@@ -116,11 +131,8 @@ pub(crate) mod tests {
 
     /// A mesh from positions, all grey, with z as normal.
     pub(crate) fn mesh_of(positions: &[[f64; 3]], triangles: &[[u32; 3]]) -> Mesh {
-        let vertex = |p: &[f64; 3]| MeshVertex {
-            position: DVec3::from_array(*p),
-            normal: Vec3::Z,
-            color: [128, 128, 128, 255],
-        };
+        let vertex =
+            |p: &[f64; 3]| MeshVertex::plain(DVec3::from_array(*p), Vec3::Z, [128, 128, 128, 255]);
         Mesh { vertices: positions.iter().map(vertex).collect(), triangles: triangles.to_vec() }
     }
 
@@ -134,11 +146,7 @@ pub(crate) mod tests {
                 let (sine, cosine) =
                     if ring == 0 || ring == rings { (0.0, theta.cos()) } else { theta.sin_cos() };
                 let p = DVec3::new(sine * phi.cos(), sine * phi.sin(), cosine);
-                mesh.vertices.push(MeshVertex {
-                    position: p,
-                    normal: p.as_vec3(),
-                    color: [255; 4],
-                });
+                mesh.vertices.push(MeshVertex::plain(p, p.as_vec3(), [255; 4]));
             }
         }
         let at = |ring: u32, sector: u32| ring * (sectors + 1) + sector;

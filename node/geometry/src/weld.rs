@@ -98,11 +98,9 @@ impl Welded {
             mesh.triangles.push(triangle.map(|vertex| {
                 let normal = self.nearest_normal(vertex as usize, face.as_vec3());
                 *ids.entry((vertex, normal.to_array().map(f32::to_bits))).or_insert_with(|| {
-                    mesh.vertices.push(MeshVertex {
-                        position: self.positions[vertex as usize],
-                        normal,
-                        color: self.colors[vertex as usize],
-                    });
+                    let position = self.positions[vertex as usize];
+                    let color = self.colors[vertex as usize];
+                    mesh.vertices.push(MeshVertex::plain(position, normal, color));
                     mesh.vertices.len() as u32 - 1
                 })
             }));

@@ -33,7 +33,7 @@ use self::buffers::Resources;
 use self::document::{Document, label};
 use self::mesh::Tally;
 use self::nodes::Placement;
-use crate::source::{Source, SourceMesh, SourceObject};
+use crate::source::{Source, SourceMesh, SourceObject, Surface};
 
 /// The up direction of every glTF scene (glTF 2.0, section 3.4).
 const UP: [f64; 3] = [0.0, 1.0, 0.0];
@@ -142,7 +142,14 @@ fn assemble(
     if meshes.iter().all(|mesh| mesh.indices.is_empty()) {
         return Err(ImportError::Empty { file: resources.file.into(), notes });
     }
-    Ok(Source { meshes, objects, up: UP, notes })
+    Ok(Source {
+        meshes,
+        objects,
+        surfaces: vec![Surface::PLAIN],
+        textures: Vec::new(),
+        up: UP,
+        notes,
+    })
 }
 
 /// Removes meshes that no object shows: those that only pressed objects showed.

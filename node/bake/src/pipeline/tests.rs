@@ -12,7 +12,7 @@ fn object(mesh: usize, world_from_mesh: DAffine3) -> SourceObject {
 }
 
 fn source(meshes: Vec<SourceMesh>, objects: Vec<SourceObject>) -> Source {
-    Source { meshes, objects, up: [0.0, 1.0, 0.0], notes: Vec::new() }
+    Source { meshes, objects, up: [0.0, 1.0, 0.0], ..Source::default() }
 }
 
 /// A mesh of one colour, its normals all upwards.
@@ -24,7 +24,7 @@ fn mesh_of(positions: Vec<[f32; 3]>, indices: Vec<[u32; 3]>) -> SourceMesh {
         colors: vec![[200, 100, 50, 255]; count],
         positions,
         indices,
-        dropped_degenerate: 0,
+        ..SourceMesh::default()
     }
 }
 
