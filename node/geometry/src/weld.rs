@@ -9,17 +9,40 @@ use glam::{DVec3, Vec3};
 use std::collections::{HashMap, HashSet};
 use std::hash::{BuildHasherDefault, Hasher};
 
+/// Steps a texture is divided into: wedges that differ by less are joined where positions are.
+const TEXTURE_STEPS: f32 = 32.0;
+
 /// Least cosine between a source normal and the face it is to shade, 60 degrees: beyond it the face
 /// has turned so far that its own normal is the better one.
 const LEAST_NORMAL_COSINE: f32 = 0.5;
 
-/// A mesh whose vertices are the distinct (shared position, colour) pairs of another.
+/// How a mesh is welded.
+#[derive(Debug, Clone, Copy)]
+pub struct Weld<'a> {
+    /// Positions at most this far apart are joined; 0: only equal ones.
+    pub epsilon: f64,
+    /// Depth of the hlod that is being made: vertices with a lesser `seam` stay where they are.
+    pub depth: u8,
+    /// By surface: whether it is seen from one side only. Surfaces beyond the end are seen from both.
+    pub single_sided: &'a [bool],
+}
+
+impl Weld<'_> {
+    /// Joins by distance alone.
+    pub fn within(epsilon: f64) -> Self {
+        Self { epsilon, depth: 0, single_sided: &[] }
+    }
+}
+
+/// A mesh whose vertices are the distinct wedges of another: a shared position with a colour, a
+/// surface and texture coordinates.
 #[derive(Debug, Clone)]
 pub struct Welded {
-    /// Position of each vertex; vertices that differ in colour alone have bitwise the same.
-    pub positions: Vec<DVec3>,
-    /// Colour of each vertex.
-    pub colors: Vec<[u8; 4]>,
+    /// The wedges. Those that share a position have bitwise the same; `normal` is the mean of what
+    /// was joined, or zero.
+    pub vertices: Vec<MeshVertex>,
+    /// Wedges on a border that must stay.
+    pub locked: Vec<bool>,
     /// Triangles that kept three different positions, without repeats.
     pub triangles: Vec<[u32; 3]>,
     /// Farthest any vertex was moved; at most epsilon.
@@ -29,17 +52,18 @@ pub struct Welded {
     normal_start: Vec<u32>,
 }
 
-/// Joins positions at most `epsilon` apart (0: only equal ones). Each vertex moves to the nearest
-/// representative within reach, or becomes one; representatives are vertices of the mesh, found in
-/// vertex order. Triangles that lose a side vanish, and so do repeats of the same three vertices,
-/// whichever way they face: everything is drawn two-sided.
-pub fn weld(mesh: &Mesh, epsilon: f64) -> Welded {
-    assert!(epsilon >= 0.0 && epsilon.is_finite());
-    let (representative, displacement) = representatives(mesh, epsilon);
-    let mut ids: HashMap<(u32, u32), u32, FastHash> = HashMap::default();
+/// Joins positions at most epsilon apart. Each vertex moves to the nearest representative within
+/// reach, or becomes one; representatives are vertices of the mesh: first those that must stay, then
+/// the others in vertex order. Triangles that lose a side vanish, and so do repeats of the same three
+/// vertices; whichever way they face where both sides are seen.
+pub fn weld(mesh: &Mesh, how: Weld<'_>) -> Welded {
+    assert!(how.epsilon >= 0.0 && how.epsilon.is_finite());
+    let stays: Vec<bool> = mesh.vertices.iter().map(|vertex| vertex.seam < how.depth).collect();
+    let (representative, displacement) = representatives(mesh, how.epsilon, &stays);
+    let mut ids: HashMap<(u32, u32, u64), u32, FastHash> = HashMap::default();
     let mut welded = Welded {
-        positions: Vec::new(),
-        colors: Vec::new(),
+        vertices: Vec::new(),
+        locked: Vec::new(),
         triangles: Vec::new(),
         displacement,
         normals: Vec::new(),
@@ -49,11 +73,17 @@ pub fn weld(mesh: &Mesh, epsilon: f64) -> Welded {
     let vertex_of: Vec<u32> = std::iter::zip(&mesh.vertices, &representative)
         .map(|(vertex, &shared)| {
             let color = u32::from_le_bytes(vertex.color);
-            *ids.entry((shared, color)).or_insert_with(|| {
-                welded.positions.push(mesh.vertices[shared as usize].position);
-                welded.colors.push(vertex.color);
+            let key = (shared, color, attribute_key(vertex, how.epsilon));
+            *ids.entry(key).or_insert_with(|| {
+                let at = &mesh.vertices[shared as usize];
+                welded.vertices.push(MeshVertex {
+                    position: at.position,
+                    seam: at.seam,
+                    ..*vertex
+                });
+                welded.locked.push(stays[shared as usize]);
                 sources.push(shared);
-                welded.positions.len() as u32 - 1
+                welded.vertices.len() as u32 - 1
             })
         })
         .collect();
@@ -61,9 +91,12 @@ pub fn weld(mesh: &Mesh, epsilon: f64) -> Welded {
     for triangle in &mesh.triangles {
         let corners = triangle.map(|index| vertex_of[index as usize]);
         let [a, b, c] = corners.map(|vertex| sources[vertex as usize]);
-        let mut key = corners;
-        key.sort_unstable();
-        if a != b && b != c && c != a && seen.insert(key) {
+        if a == b || b == c || c == a {
+            continue;
+        }
+        let surface = mesh.vertices[triangle[0] as usize].surface;
+        let one_sided = how.single_sided.get(usize::from(surface)).is_some_and(|&single| single);
+        if seen.insert(repeat_key(corners, one_sided)) {
             welded.triangles.push(corners);
         }
     }
@@ -71,10 +104,37 @@ pub fn weld(mesh: &Mesh, epsilon: f64) -> Welded {
     welded
 }
 
+/// What else two vertices must share to become one wedge.
+fn attribute_key(vertex: &MeshVertex, epsilon: f64) -> u64 {
+    let [u, v] = vertex.tex_coord;
+    if u == 0.0 && v == 0.0 {
+        return u64::from(vertex.surface);
+    }
+    let bits = |c: f32| if epsilon > 0.0 { (c * TEXTURE_STEPS).round() + 0.0 } else { c }.to_bits();
+    // Equal keys of different vertices only let one take the other's coordinates, which differ by
+    // less than a step or by a chance of 2^-48.
+    let mixed = (u64::from(bits(u)) << 32 | u64::from(bits(v))).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+    mixed << 16 | u64::from(vertex.surface)
+}
+
+/// Corners in an order that repeats share.
+fn repeat_key([a, b, c]: [u32; 3], one_sided: bool) -> [u32; 3] {
+    if one_sided {
+        return match a.min(b).min(c) {
+            least if least == a => [a, b, c],
+            least if least == b => [b, c, a],
+            _ => [c, a, b],
+        };
+    }
+    let mut key = [a, b, c];
+    key.sort_unstable();
+    key
+}
+
 impl Welded {
-    /// Sorts the source normals by welded vertex.
+    /// Sorts the source normals by welded vertex, and takes their means.
     fn gather_normals(&mut self, mesh: &Mesh, vertex_of: &[u32]) {
-        let mut start = vec![0u32; self.positions.len() + 1];
+        let mut start = vec![0u32; self.vertices.len() + 1];
         vertex_of.iter().for_each(|&vertex| start[vertex as usize + 1] += 1);
         (1..start.len()).for_each(|i| start[i] += start[i - 1]);
         let mut next = start.clone();
@@ -82,6 +142,10 @@ impl Welded {
         for (source, &vertex) in mesh.vertices.iter().zip(vertex_of) {
             self.normals[next[vertex as usize] as usize] = source.normal;
             next[vertex as usize] += 1;
+        }
+        for (vertex, range) in self.vertices.iter_mut().zip(start.windows(2)) {
+            let own = &self.normals[range[0] as usize..range[1] as usize];
+            vertex.normal = own.iter().sum::<Vec3>().normalize_or_zero();
         }
         self.normal_start = start;
     }
@@ -93,14 +157,12 @@ impl Welded {
         let mut mesh = Mesh::default();
         let mut ids: HashMap<(u32, [u32; 3]), u32, FastHash> = HashMap::default();
         for triangle in triangles {
-            let corners = triangle.map(|vertex| self.positions[vertex as usize]);
+            let corners = triangle.map(|vertex| self.vertices[vertex as usize].position);
             let Some(face) = face_normal(corners) else { continue };
             mesh.triangles.push(triangle.map(|vertex| {
                 let normal = self.nearest_normal(vertex as usize, face.as_vec3());
                 *ids.entry((vertex, normal.to_array().map(f32::to_bits))).or_insert_with(|| {
-                    let position = self.positions[vertex as usize];
-                    let color = self.colors[vertex as usize];
-                    mesh.vertices.push(MeshVertex::plain(position, normal, color));
+                    mesh.vertices.push(MeshVertex { normal, ..self.vertices[vertex as usize] });
                     mesh.vertices.len() as u32 - 1
                 })
             }));
@@ -121,49 +183,90 @@ impl Welded {
     }
 }
 
-/// For each vertex the vertex whose position it takes, and the farthest move.
-fn representatives(mesh: &Mesh, epsilon: f64) -> (Vec<u32>, f64) {
-    let origin = mesh.bounds().min;
-    // A cell twice as wide as the reach: whatever is within reach lies in the eight cells nearest.
-    // An epsilon too small for 64-bit cell numbers saturates them: slower, still right.
-    let cells_per_unit = if epsilon > 0.0 { 0.5 / epsilon } else { 0.0 };
-    let mut newest: HashMap<[i64; 3], u32, FastHash> = HashMap::default();
-    let mut older = vec![u32::MAX; mesh.vertices.len()];
-    let mut farthest = 0.0f64;
-    let mut representative = Vec::with_capacity(mesh.vertices.len());
-    for (index, vertex) in mesh.vertices.iter().enumerate() {
-        let p = vertex.position;
-        let scaled = (p - origin) * cells_per_unit;
-        let floor = scaled.floor();
-        let (cell, neighbours) = if epsilon > 0.0 {
-            let step = |k: usize| if scaled[k] - floor[k] < 0.5 { -1 } else { 1 };
-            (floor.to_array().map(|c| c as i64), [step(0), step(1), step(2)])
-        } else {
+/// Vertices by place, to find those near a point.
+struct Places<'a> {
+    mesh: &'a Mesh,
+    epsilon: f64,
+    origin: DVec3,
+    /// A cell is twice as wide as the reach: whatever is within reach lies in the eight cells
+    /// nearest. An epsilon too small for 64-bit cell numbers saturates them: slower, still right.
+    cells_per_unit: f64,
+    newest: HashMap<[i64; 3], u32, FastHash>,
+    older: Vec<u32>,
+}
+
+impl<'a> Places<'a> {
+    fn new(mesh: &'a Mesh, epsilon: f64) -> Self {
+        Self {
+            mesh,
+            epsilon,
+            origin: mesh.bounds().min,
+            cells_per_unit: if epsilon > 0.0 { 0.5 / epsilon } else { 0.0 },
+            newest: HashMap::default(),
+            older: vec![u32::MAX; mesh.vertices.len()],
+        }
+    }
+
+    /// The cell of a point, and for each axis on which side the nearest neighbour lies.
+    fn cell(&self, p: DVec3) -> ([i64; 3], [i64; 3]) {
+        if self.epsilon == 0.0 {
             // Adding zero makes -0 and 0 the same key.
-            (p.to_array().map(|c| (c + 0.0).to_bits() as i64), [0; 3])
-        };
-        let mut best = (epsilon * epsilon, u32::MAX);
-        for corner in 0..if epsilon > 0.0 { 8 } else { 1 } {
+            return (p.to_array().map(|c| (c + 0.0).to_bits() as i64), [0; 3]);
+        }
+        let scaled = (p - self.origin) * self.cells_per_unit;
+        let floor = scaled.floor();
+        let side = |k: usize| if scaled[k] - floor[k] < 0.5 { -1 } else { 1 };
+        (floor.to_array().map(|c| c as i64), [side(0), side(1), side(2)])
+    }
+
+    /// The nearest vertex put in so far that is within reach, the last one of several, and the
+    /// square of its distance.
+    fn nearest(&self, p: DVec3) -> Option<(u32, f64)> {
+        let (cell, sides) = self.cell(p);
+        let mut best = (self.epsilon * self.epsilon, u32::MAX);
+        for corner in 0..if self.epsilon > 0.0 { 8 } else { 1 } {
             let key = std::array::from_fn(|k| {
-                cell[k].wrapping_add(if corner >> k & 1 == 1 { neighbours[k] } else { 0 })
+                cell[k].wrapping_add(if corner >> k & 1 == 1 { sides[k] } else { 0 })
             });
-            let mut candidate = newest.get(&key).copied().unwrap_or(u32::MAX);
+            let mut candidate = self.newest.get(&key).copied().unwrap_or(u32::MAX);
             while candidate != u32::MAX {
-                let d = mesh.vertices[candidate as usize].position.distance_squared(p);
+                let d = self.mesh.vertices[candidate as usize].position.distance_squared(p);
                 if (d, candidate) <= best {
                     best = (d, candidate);
                 }
-                candidate = older[candidate as usize];
+                candidate = self.older[candidate as usize];
             }
         }
-        if best.1 == u32::MAX {
-            representative.push(index as u32);
-            if let Some(before) = newest.insert(cell, index as u32) {
-                older[index] = before;
+        (best.1 != u32::MAX).then_some((best.1, best.0))
+    }
+
+    fn put(&mut self, index: usize) {
+        let (cell, _) = self.cell(self.mesh.vertices[index].position);
+        if let Some(before) = self.newest.insert(cell, index as u32) {
+            self.older[index] = before;
+        }
+    }
+}
+
+/// For each vertex the vertex whose position it takes, and the farthest move.
+fn representatives(mesh: &Mesh, epsilon: f64, stays: &[bool]) -> (Vec<u32>, f64) {
+    let mut places = Places::new(mesh, epsilon);
+    let mut representative: Vec<u32> = (0..mesh.vertices.len() as u32).collect();
+    for (index, vertex) in mesh.vertices.iter().enumerate().filter(|(i, _)| stays[*i]) {
+        // Only a vertex in the very same place is the same corner of the border.
+        match places.nearest(vertex.position) {
+            Some((other, 0.0)) => representative[index] = other,
+            _ => places.put(index),
+        }
+    }
+    let mut farthest = 0.0f64;
+    for (index, vertex) in mesh.vertices.iter().enumerate().filter(|(i, _)| !stays[*i]) {
+        match places.nearest(vertex.position) {
+            Some((other, squared)) => {
+                representative[index] = other;
+                farthest = farthest.max(squared);
             }
-        } else {
-            representative.push(best.1);
-            farthest = farthest.max(best.0);
+            None => places.put(index),
         }
     }
     (representative, farthest.sqrt())
@@ -206,11 +309,11 @@ mod tests {
 
     #[test]
     fn nothing_and_a_point_weld_to_nothing() {
-        assert!(weld(&Mesh::default(), 1.0).triangles.is_empty());
+        assert!(weld(&Mesh::default(), Weld::within(1.0)).triangles.is_empty());
         let point = mesh_of(&[[5.0; 3]; 3], &[[0, 1, 2]]);
-        let welded = weld(&point, 0.0);
+        let welded = weld(&point, Weld::within(0.0));
         assert!(welded.triangles.is_empty());
-        assert_eq!(welded.positions.len(), 1);
+        assert_eq!(welded.vertices.len(), 1);
         assert_eq!(welded.displacement, 0.0);
     }
 
@@ -218,7 +321,43 @@ mod tests {
     fn repeats_go_whichever_way_they_face() {
         let p = [[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, -0.0]];
         let mesh = mesh_of(&[p[0], p[1], p[2], p[2], p[1], p[0]], &[[0, 1, 2], [3, 4, 5]]);
-        assert_eq!(weld(&mesh, 0.0).triangles, [[0, 1, 2]]);
+        assert_eq!(weld(&mesh, Weld::within(0.0)).triangles, [[0, 1, 2]]);
+    }
+
+    #[test]
+    fn a_side_that_is_seen_from_one_side_keeps_its_back() {
+        let p = [[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]];
+        let mesh = mesh_of(&p, &[[0, 1, 2], [2, 1, 0], [1, 2, 0]]);
+        let how = Weld { single_sided: &[true], ..Weld::within(0.0) };
+        assert_eq!(weld(&mesh, how).triangles, [[0, 1, 2], [2, 1, 0]]);
+    }
+
+    #[test]
+    fn borders_stay_until_both_sides_have_met() {
+        let mut mesh = mesh_of(
+            &[[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.01, 0.0, 0.0], [0.02, 0.0, 0.0]],
+            &[[0, 1, 2], [3, 1, 2], [4, 1, 2]],
+        );
+        mesh.vertices[3].seam = 2;
+        mesh.vertices[4].seam = 2;
+        let deep = weld(&mesh, Weld { depth: 3, ..Weld::within(0.1) });
+        assert_eq!(deep.locked, [true, false, false, true]);
+        assert_eq!(deep.vertices[0].position.x, 0.01, "the free vertex moves to the border");
+        assert_eq!(deep.triangles.len(), 2);
+        let above = weld(&mesh, Weld { depth: 2, ..Weld::within(0.1) });
+        assert!(above.locked.iter().all(|locked| !locked));
+        assert_eq!(above.triangles.len(), 1);
+    }
+
+    #[test]
+    fn texture_coordinates_and_surfaces_stay_apart() {
+        let mut mesh = mesh_of(&[[0.0; 3]; 5], &[]);
+        mesh.vertices[1].tex_coord = [0.5, 0.25];
+        mesh.vertices[2].tex_coord = [0.5, 0.26];
+        mesh.vertices[3].tex_coord = [0.25, 0.5];
+        mesh.vertices[4].surface = 3;
+        assert_eq!(weld(&mesh, Weld::within(0.0)).vertices.len(), 5);
+        assert_eq!(weld(&mesh, Weld::within(0.1)).vertices.len(), 4);
     }
 
     #[test]
@@ -235,10 +374,10 @@ mod tests {
             ],
             &[[0, 1, 2], [3, 4, 5]],
         );
-        let closed = weld(&mesh, gap * 1.001);
-        assert_eq!(closed.positions.len(), 4);
+        let closed = weld(&mesh, Weld::within(gap * 1.001));
+        assert_eq!(closed.vertices.len(), 4);
         assert!((closed.displacement - gap).abs() < 1e-12);
-        assert_eq!(weld(&mesh, gap * 0.999).positions.len(), 6);
+        assert_eq!(weld(&mesh, Weld::within(gap * 0.999)).vertices.len(), 6);
     }
 
     #[test]
@@ -246,9 +385,9 @@ mod tests {
         let mut mesh =
             mesh_of(&[[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.01, 0.0, 0.0]], &[[0, 1, 2]]);
         mesh.vertices[3].color = [255, 0, 0, 255];
-        let welded = weld(&mesh, 0.1);
-        assert_eq!(welded.positions.len(), 4);
-        assert_eq!(welded.positions[3], welded.positions[0]);
+        let welded = weld(&mesh, Weld::within(0.1));
+        assert_eq!(welded.vertices.len(), 4);
+        assert_eq!(welded.vertices[3].position, welded.vertices[0].position);
     }
 
     #[test]
@@ -264,21 +403,21 @@ mod tests {
             let other = base + DVec3::new(a.cos(), a.sin() * 0.6, a.sin() * 0.8) * 0.25;
             positions.extend([base.to_array(), other.to_array()]);
         }
-        let welded = weld(&mesh_of(&positions, &[]), epsilon);
-        assert_eq!(welded.positions.len(), 500);
+        let welded = weld(&mesh_of(&positions, &[]), Weld::within(epsilon));
+        assert_eq!(welded.vertices.len(), 500);
         assert!(welded.displacement <= epsilon);
     }
 
     #[test]
     fn corners_keep_smooth_normals_and_turned_faces_get_their_own() {
         let ball = sphere(16, 32);
-        let welded = weld(&ball, 0.0);
+        let welded = weld(&ball, Weld::within(0.0));
         let smooth = welded.with_triangles(&welded.triangles);
         assert_eq!(smooth.triangles.len(), ball.triangles.len());
         assert!(smooth.vertices.iter().all(|v| v.normal.dot(v.position.as_vec3()) > 0.999));
         let mut wall = mesh_of(&[[0.0; 3], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]], &[[0, 1, 2]]);
         wall.vertices[0].normal = Vec3::Y;
-        let welded = weld(&wall, 0.0);
+        let welded = weld(&wall, Weld::within(0.0));
         let shaded = welded.with_triangles(&welded.triangles);
         assert!(shaded.vertices.iter().all(|v| v.normal.y.abs() > 0.999), "{shaded:?}");
     }
