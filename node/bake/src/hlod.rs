@@ -1,255 +1,485 @@
-//! The tree bottom up: levels for every leaf, and for every inner hlod stand-ins for all below it.
+//! The tree bottom up: levels for every leaf, and for every inner hlod stand-ins for all below it
+//! (paper 004, section 2.2.1).
 //!
-//! Only an hlod, its children's finest meshes and the packed bytes of its subtree are in memory.
+//! Only an hlod, its children's forms and the packed bytes of its subtree are in memory.
 
-use crate::levels::{CoarseMesh, ERROR_GROWTH, Goal, levels};
-use crate::options::Options;
-use crate::pack::{Packed, finest_step, pack, snap};
-use crate::pieces::{Leaf, Piece, Plan};
-use crate::source::Source;
+use crate::built::{Built, Form, Geometry, PendingLevel, PendingPart, Shape, Subtree, Top};
+use crate::levels::{Chain, CoarseMesh, ERROR_GROWTH, End, Setting};
+use crate::options::{MAX_MESH_TRIANGLES, Options};
+use crate::pack::{finest_step, pack, snap};
+use crate::pieces::PieceMesh;
+use crate::plan::{Member, Pieces, Plan};
+use crate::shared::{SharedLevel, SharedLevels};
+use crate::source::Surface;
+use crate::spool::Scene;
+use crate::work::{Records, WorkError};
 use geometry::bounds::Aabb;
 use geometry::hierarchy::Tree;
 use geometry::mesh::{Mesh, largest_stretch};
 use glam::DVec3;
 use protocol::format::NONE;
-use protocol::id::BlobId;
+use protocol::format::vertex::{MAX_BLOB_VERTICES, POSITION_MAX};
 use rayon::prelude::*;
+use std::ops::Range;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Instant;
 
-/// Where a level's mesh is.
-#[derive(Debug)]
-pub(crate) enum Geometry {
-    /// To be written.
-    Packed(Packed),
-    /// In the file already, as part of a shared mesh.
-    Written(BlobId),
-}
-
-/// A level that is not numbered yet.
-#[derive(Debug)]
-pub(crate) struct PendingLevel {
-    pub(crate) error: f64,
-    pub(crate) geometry: Geometry,
-    pub(crate) triangles: u32,
-    pub(crate) transform: u32,
-}
-
-/// An hlod ready to be written.
-#[derive(Debug)]
-pub(crate) struct Built {
-    /// Its id.
-    pub(crate) node: u32,
-    pub(crate) levels: Vec<PendingLevel>,
-    pub(crate) bounds: Aabb,
-    pub(crate) source_triangles: u64,
-    pub(crate) object: u32,
-}
-
-/// An hlod and what its parent must know of it.
-#[derive(Debug)]
-pub(crate) struct Top {
-    pub(crate) built: Built,
-    /// What the parent is made from: the finest level, in the world.
-    finest: Mesh,
-    /// Its error.
-    finest_error: f64,
-    /// Distance it was welded within.
-    epsilon: f64,
-}
-
-impl Top {
-    /// The greatest error here or below.
-    fn worst(&self) -> f64 {
-        self.built.levels.last().map_or(self.finest_error, |level| level.error)
-    }
-}
-
-/// A subtree: its root, which its parent may still trim, and everything below in tree order.
-#[derive(Debug)]
-pub(crate) struct Subtree {
-    pub(crate) top: Top,
-    pub(crate) below: Vec<Built>,
-}
-
-/// Packed levels of one piece, finest first.
-pub(crate) type PieceLevels = Vec<(f64, Packed)>;
-
-/// A level of a shared piece that is in the file.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct WrittenLevel {
-    /// Deviation in mesh units.
-    pub(crate) error: f64,
-    pub(crate) blob: BlobId,
-    pub(crate) triangles: u32,
-}
-
+/// A child is put into its parent's mesh with at least so many times the triangles that will be left
+/// of it there.
+const SURPLUS: usize = 2;
+/// A child whose coarsest level errs by less than this share of what its parent's finest does is
+/// given more levels: nothing else stands for it in between.
+const GAP: f64 = 0.5;
+/// A level of placed parts is kept only if it has at most this share of the triangles before.
+const PAYING_SHARE: f64 = 0.75;
+/// Instances stand for an hlod where they have at most so many times the triangles of one mesh,
+const INSTANCES_PAY: f64 = 1.5;
+/// and at most so many parts.
+const MOST_PARTS: usize = 64;
+/// An inner hlod that found no stand-in is built upon as it is up to so many triangles.
+const MOST_CARRIED: usize = 8 * MAX_MESH_TRIANGLES;
 /// Why packing a coarser level cannot fail: triangles without an area were left out of it.
 const HAS_AREA: &str = "a coarser level has triangles with an area";
 
-fn pending(error: f64, packed: Packed) -> PendingLevel {
-    let triangles = packed.triangles();
-    PendingLevel { error, triangles, geometry: Geometry::Packed(packed), transform: NONE }
+/// What was done and what was skipped, and how long it took: sums over all threads.
+#[derive(Debug, Default)]
+pub(crate) struct Tally {
+    pub(crate) leaf_ns: AtomicU64,
+    pub(crate) inner_ns: AtomicU64,
+    /// Chains that ended because no form with few enough triangles was found.
+    pub(crate) unpaying: AtomicU64,
+    /// Levels rejected because they erred too much.
+    pub(crate) wrong: AtomicU64,
+    /// Levels that a stand-in made needless.
+    pub(crate) needless: AtomicU64,
+    /// Levels of inner hlods that are instances of their children's.
+    pub(crate) instanced: AtomicU64,
+    /// Inner hlods without a stand-in.
+    pub(crate) bare: AtomicU64,
 }
 
-/// Levels of one piece, its mesh on the grid being `mesh`.
-pub(crate) fn piece_levels(piece: &Piece, mesh: &Mesh, options: &Options) -> PieceLevels {
-    // Rounding to the nearest grid point moves at most sqrt(3)/2 of a step.
-    let error = piece.step;
-    let finest =
-        pack(mesh, piece.step).expect("pieces without a surviving triangle are not planned");
-    let half = mesh.triangles.len() / 2;
-    let goal = Goal { first_target: half, most: usize::MAX, epsilon: 0.0 };
-    let coarser = levels(mesh, error, goal, options);
-    let packed = coarser.into_iter().map(|c| (c.error, pack(&c.mesh, piece.step).expect(HAS_AREA)));
-    std::iter::once((error, finest)).chain(packed).collect()
+impl Tally {
+    fn ended(&self, end: End) {
+        match end {
+            End::Small => {}
+            End::Unpaying => drop(self.unpaying.fetch_add(1, Ordering::Relaxed)),
+            End::Wrong => drop(self.wrong.fetch_add(1, Ordering::Relaxed)),
+        }
+    }
 }
 
 /// Everything a subtree is built from.
 pub(crate) struct Builder<'a> {
-    pub(crate) source: &'a Source,
+    pub(crate) scene: &'a Scene,
+    pub(crate) pieces: &'a Pieces,
+    pub(crate) piece_file: &'a Records,
     pub(crate) plan: &'a Plan,
-    pub(crate) tree: &'a Tree,
-    /// By piece; empty for one that is not shared.
-    pub(crate) shared: &'a [Vec<WrittenLevel>],
+    pub(crate) shared: &'a SharedLevels,
+    pub(crate) single_sided: &'a [bool],
     pub(crate) options: &'a Options,
-    /// Nanoseconds all threads spent on leaves and on inner hlods: for the summary alone.
-    pub(crate) leaf_ns: AtomicU64,
-    pub(crate) inner_ns: AtomicU64,
+    pub(crate) tally: Tally,
 }
 
 impl Builder<'_> {
-    /// Builds everything from `node` down.
-    pub(crate) fn subtree(&self, node: u32) -> Subtree {
-        if let Some(item) = self.tree.nodes[node as usize].item {
-            let start = Instant::now();
-            let top = self.leaf(node, &self.plan.leaves[item as usize]);
-            self.leaf_ns.fetch_add(start.elapsed().as_nanos() as u64, Ordering::Relaxed);
-            return Subtree { top, below: Vec::new() };
+    fn tree(&self) -> &Tree {
+        &self.plan.tree
+    }
+
+    fn surfaces(&self) -> &[Surface] {
+        &self.scene.surfaces
+    }
+
+    fn setting(&self, node: u32) -> Setting<'_> {
+        Setting {
+            options: self.options,
+            depth: self.plan.depths[node as usize],
+            single_sided: self.single_sided,
         }
-        let children: Vec<Subtree> =
-            self.tree.children(node).into_par_iter().map(|child| self.subtree(child)).collect();
+    }
+
+    /// Builds everything from `node` down.
+    pub(crate) fn subtree(&self, node: u32) -> Result<Subtree, WorkError> {
+        if let Some(item) = self.tree().nodes[node as usize].item {
+            let start = Instant::now();
+            let top = self.leaf(node, self.plan.leaves[item as usize].clone())?;
+            let spent = start.elapsed().as_nanos() as u64;
+            self.tally.leaf_ns.fetch_add(spent, Ordering::Relaxed);
+            return Ok(Subtree { top, below: Vec::new() });
+        }
+        let children: Vec<Subtree> = self
+            .tree()
+            .children(node)
+            .into_par_iter()
+            .map(|child| self.subtree(child))
+            .collect::<Result<_, _>>()?;
         let mut below = Vec::new();
         let mut tops = Vec::with_capacity(children.len());
         for child in children {
             below.extend(child.below);
             tops.push(child.top);
         }
-        let top = self.inner(node, &mut tops);
+        let top = self.inner(node, &mut tops)?;
         below.extend(tops.into_iter().map(|child| child.built));
-        Subtree { top, below }
+        Ok(Subtree { top, below })
     }
 
-    fn leaf(&self, node: u32, leaf: &Leaf) -> Top {
-        let piece = &self.plan.pieces[leaf.piece as usize];
-        let mesh = piece.gather(self.source);
-        let built = |levels, bounds| Built {
-            node,
-            levels,
-            bounds,
-            source_triangles: piece.triangles(),
-            object: leaf.object,
-        };
-        if leaf.transform == NONE {
-            let levels: Vec<PendingLevel> = piece_levels(piece, &mesh, self.options)
-                .into_iter()
-                .map(|(error, packed)| pending(error, packed))
-                .collect();
-            let bounds = bounds_of(&levels);
-            return Top {
-                finest_error: levels[0].error,
-                built: built(levels, bounds),
-                finest: mesh,
-                epsilon: 0.0,
-            };
-        }
-        let world_from_mesh = self.source.objects[leaf.object as usize].world_from_mesh;
-        let stretch = largest_stretch(&world_from_mesh.matrix3);
-        let levels: Vec<PendingLevel> = self.shared[leaf.piece as usize]
-            .iter()
-            .map(|level| PendingLevel {
-                error: level.error * stretch,
-                triangles: level.triangles,
-                geometry: Geometry::Written(level.blob),
-                transform: leaf.transform,
-            })
-            .collect();
-        // Coarser levels have no vertices that the finest has not. A reader places them by this sum.
-        let transform = self.plan.transforms[leaf.transform as usize];
-        let placed = mesh.vertices.iter().map(|v| transform.apply(v.position.to_array()).into());
-        let bounds = Aabb::of(placed);
-        let finest = mesh.placed(&world_from_mesh);
-        Top { finest_error: levels[0].error, built: built(levels, bounds), finest, epsilon: 0.0 }
-    }
-
-    /// An inner hlod over `children`, which lose those levels that it makes needless.
-    pub(crate) fn inner(&self, node: u32, children: &mut [Top]) -> Top {
-        let start = Instant::now();
-        let mut merged = Mesh::default();
-        let mut bounds = Aabb::EMPTY;
-        for child in children.iter_mut() {
-            merged.append(&std::mem::take(&mut child.finest));
-            bounds = bounds.union(child.built.bounds);
-        }
-        let mut error = children.iter().map(|child| child.finest_error).fold(0.0, f64::max);
-        let extent = merged.bounds();
-        let farthest = extent.min.abs().max(extent.max.abs()).max_element();
-        let step = finest_step(extent.extent().max_element(), farthest);
-        error += snap(&mut merged, step);
-        let goal = Goal {
-            first_target: self.options.hlod_triangles.min(merged.triangles.len() / 2),
-            // Nothing above the root takes over from it, so its chain goes on to the end.
-            most: if node == 0 { usize::MAX } else { self.options.hlod_levels },
-            epsilon: children.iter().map(|child| child.epsilon).fold(0.0, f64::max),
-        };
-        let mut coarse = levels(&merged, error, goal, self.options);
-        raise(&mut coarse, children);
-        let levels: Vec<PendingLevel> = coarse
-            .iter()
-            .map(|level| pending(level.error, pack(&level.mesh, step).expect(HAS_AREA)))
-            .collect();
+    /// A leaf: pieces of its own as one mesh, or shared pieces as they stand.
+    fn leaf(&self, node: u32, members: Range<usize>) -> Result<Top, WorkError> {
+        let own = &self.plan.members[members.clone()];
+        let one_object = own.windows(2).all(|pair| pair[0].object == pair[1].object);
+        let sources = own.iter().map(|m| self.pieces.infos[m.piece as usize].source_triangles);
         let built = Built {
             node,
-            bounds: bounds.union(bounds_of(&levels)),
+            levels: Vec::new(),
+            bounds: Aabb::EMPTY,
+            source_triangles: sources.sum(),
+            object: if one_object { own[0].object } else { NONE },
+        };
+        if own[0].transform == NONE { self.whole(built, own) } else { self.assembly(built, members) }
+    }
+
+    /// A leaf without shared pieces: a mesh, as few as grid and 16-bit indices allow, and one coarser
+    /// level for now.
+    fn whole(&self, mut built: Built, members: &[Member]) -> Result<Top, WorkError> {
+        let mut parts = Vec::new();
+        let mut base = Mesh::default();
+        let mut step = f64::INFINITY;
+        let mut error = 0.0f64;
+        for (group, group_step) in self.groups(members) {
+            let mut mesh = Mesh::default();
+            for member in group {
+                mesh.append(&self.piece(member)?.mesh(|other| self.meeting_depth(member, other)));
+                // Rounding to the nearest grid point moved at most sqrt(3)/2 of a step.
+                error = error.max(self.pieces.infos[member.piece as usize].step);
+            }
+            let packed = pack(&mesh, group_step, self.surfaces());
+            let packed = packed.expect("pieces without an area were left out");
+            parts.push(PendingPart { geometry: Geometry::Packed(packed), transform: NONE });
+            step = step.min(group_step);
+            base.append(&mesh);
+        }
+        built.bounds = base.bounds();
+        let triangles = parts.iter().map(part_triangles).sum();
+        built.levels.push(PendingLevel { error, triangles, parts });
+        let step = fitting_step(&base, step);
+        let moved = snap(&mut base, step);
+        built.bounds = built.bounds.union(base.bounds());
+        let form =
+            Form { error: error + moved, triangles: base.triangles.len(), shape: Shape::Mesh(base) };
+        let mut top = Top { built, forms: vec![form], step, epsilon: 0.0, worst: error };
+        self.extend(&mut top, f64::INFINITY, 1);
+        Ok(top)
+    }
+
+    /// Runs of members that fit one blob, each with its grid step.
+    fn groups<'m>(&self, members: &'m [Member]) -> Vec<(&'m [Member], f64)> {
+        let mut groups: Vec<(Range<usize>, Aabb, f64, usize)> = Vec::new();
+        for (i, member) in members.iter().enumerate() {
+            let info = &self.pieces.infos[member.piece as usize];
+            let vertices = info.vertices as usize;
+            if let Some((range, bounds, step, count)) = groups.last_mut() {
+                let (joined, finer) = (bounds.union(info.bounds), step.min(info.step));
+                let fits = joined.extent().max_element() / finer < f64::from(POSITION_MAX - 1);
+                if fits && *count + vertices <= MAX_BLOB_VERTICES {
+                    (range.end, *bounds, *step, *count) = (i + 1, joined, finer, *count + vertices);
+                    continue;
+                }
+            }
+            groups.push((i..i + 1, info.bounds, info.step, vertices));
+        }
+        groups.into_iter().map(|(range, _, step, _)| (&members[range], step)).collect()
+    }
+
+    fn piece(&self, member: &Member) -> Result<PieceMesh, WorkError> {
+        self.pieces.read(self.piece_file, member.piece as usize)
+    }
+
+    fn meeting_depth(&self, member: &Member, other: u32) -> u8 {
+        self.plan.meeting_depth(member, other, self.pieces)
+    }
+
+    /// A leaf that shows shared pieces: its levels are put together from theirs.
+    fn assembly(&self, mut built: Built, members: Range<usize>) -> Result<Top, WorkError> {
+        let errors_of = |m: usize| {
+            let member = &self.plan.members[m];
+            let linear = &self.scene.objects[member.object as usize].world_from_mesh.matrix3;
+            let stretch = largest_stretch(linear);
+            self.shared.levels(member.piece as usize).iter().map(move |l| l.error * stretch)
+        };
+        let mut errors: Vec<f64> = members.clone().flat_map(errors_of).collect();
+        errors.sort_by(f64::total_cmp);
+        let finest = members.clone().filter_map(|m| errors_of(m).next()).fold(0.0, f64::max);
+        let mut forms: Vec<Form> = Vec::new();
+        // At each error some part may go coarser.
+        for error in errors.into_iter().filter(|&error| error >= finest) {
+            let level_of = |m: usize| errors_of(m).take_while(|&own| own <= error).count() - 1;
+            let form = self.form_of(members.clone().map(|m| [m as u32, level_of(m) as u32]), error);
+            let most = forms.last().map(|f| (f.triangles as f64 * PAYING_SHARE) as usize);
+            if most.is_none_or(|most| form.triangles <= most) {
+                forms.push(form);
+            }
+        }
+        // Coarser levels have no vertices that the finest has not. A reader places them by this sum.
+        for member in &self.plan.members[members] {
+            let transform = self.plan.transforms[member.transform as usize];
+            let piece = self.piece(member)?;
+            let placed = piece.vertices.iter().map(|v| piece.position(v).to_array());
+            let points = placed.map(|p| DVec3::from_array(transform.apply(p)));
+            built.bounds = built.bounds.union(Aabb::of(points));
+        }
+        let mut top = Top { built, forms: Vec::new(), step: 0.0, epsilon: 0.0, worst: 0.0 };
+        forms.into_iter().for_each(|form| self.push_parts(&mut top, form));
+        Ok(top)
+    }
+
+    /// A form put together from levels of shared pieces, its error being `error`.
+    fn form_of(&self, parts: impl Iterator<Item = [u32; 2]>, error: f64) -> Form {
+        let parts: Vec<[u32; 2]> = parts.collect();
+        let triangles = parts.iter().map(|&part| self.shared_level(part).triangles as usize);
+        Form { error, triangles: triangles.sum(), shape: Shape::Parts(parts) }
+    }
+
+    fn shared_level(&self, [member, level]: [u32; 2]) -> &SharedLevel {
+        let piece = self.plan.members[member as usize].piece;
+        &self.shared.levels(piece as usize)[level as usize]
+    }
+
+    /// Adds a level that is put together from levels of shared pieces.
+    fn push_parts(&self, top: &mut Top, form: Form) {
+        let Shape::Parts(parts) = &form.shape else { unreachable!("a form of parts") };
+        let pending = parts.iter().map(|&part| PendingPart {
+            geometry: Geometry::Written(self.shared_level(part).blob),
+            transform: self.plan.members[part[0] as usize].transform,
+        });
+        top.built.levels.push(PendingLevel {
+            error: form.error,
+            triangles: form.triangles as u32,
+            parts: pending.collect(),
+        });
+        top.worst = form.error;
+        top.forms.push(form);
+    }
+
+    /// The mesh of a form, in the world.
+    fn realise(&self, form: &Form) -> Result<Mesh, WorkError> {
+        let parts = match &form.shape {
+            Shape::Mesh(mesh) => return Ok(mesh.clone()),
+            Shape::Parts(parts) => parts,
+        };
+        let mut mesh = Mesh::default();
+        for &[m, level] in parts {
+            let member = &self.plan.members[m as usize];
+            let piece = self.shared.mesh(member.piece as usize, level as usize)?;
+            let part = piece.mesh(|other| self.meeting_depth(member, other));
+            let object = &self.scene.objects[member.object as usize];
+            mesh.append(&part.placed(&object.world_from_mesh));
+        }
+        Ok(mesh)
+    }
+
+    /// Gives an hlod further levels, at most `most`, as long as the last errs by less than `until`.
+    fn extend(&self, top: &mut Top, until: f64, most: usize) {
+        let node = top.built.node;
+        let [first, ..] = &top.forms[..] else { return };
+        let Shape::Mesh(base) = &first.shape else { return };
+        let last = top.forms.last().unwrap_or(first);
+        let Shape::Mesh(last_mesh) = &last.shape else { return };
+        if last.error >= until {
+            return;
+        }
+        let mut chain = Chain::new(base, first.error, top.epsilon, self.setting(node));
+        let mut made: Vec<CoarseMesh> = Vec::new();
+        while made.len() < most {
+            let (before, finer) =
+                made.last().map_or((last_mesh, last.error), |m| (&m.mesh, m.error));
+            if finer >= until {
+                break;
+            }
+            match chain.next(before, finer, before.triangles.len() / 2) {
+                Ok(level) => made.push(level),
+                Err(end) => {
+                    self.tally.ended(end);
+                    break;
+                }
+            }
+        }
+        top.epsilon = chain.epsilon();
+        for level in made {
+            self.push(top, level);
+        }
+    }
+
+    /// Adds a level that was made from the forms before it.
+    fn push(&self, top: &mut Top, level: CoarseMesh) {
+        let CoarseMesh { mesh, error } = level;
+        let packed = pack(&mesh, top.step, self.surfaces()).expect(HAS_AREA);
+        let part = PendingPart { geometry: Geometry::Packed(packed), transform: NONE };
+        let triangles = part_triangles(&part);
+        top.built.levels.push(PendingLevel { error, triangles, parts: vec![part] });
+        top.worst = error;
+        let triangles = mesh.triangles.len();
+        top.forms.push(Form { error, triangles, shape: Shape::Mesh(mesh) });
+    }
+
+    /// An inner hlod over `children`, which gain levels where there would be a gap and lose those
+    /// that it makes needless.
+    pub(crate) fn inner(&self, node: u32, children: &mut [Top]) -> Result<Top, WorkError> {
+        let start = Instant::now();
+        let built = Built {
+            node,
+            levels: Vec::new(),
+            bounds: children.iter().fold(Aabb::EMPTY, |sum, child| sum.union(child.built.bounds)),
             source_triangles: children.iter().map(|child| child.built.source_triangles).sum(),
             object: NONE,
-            levels,
         };
-        let top = if built.levels.is_empty() {
-            let worst = children.iter().map(Top::worst).fold(error, f64::max);
-            Top { built, finest: merged, finest_error: worst, epsilon: goal.epsilon }
-        } else {
-            let finest = coarse.swap_remove(0);
-            Top { built, finest: finest.mesh, finest_error: finest.error, epsilon: finest.epsilon }
-        };
-        self.inner_ns.fetch_add(start.elapsed().as_nanos() as u64, Ordering::Relaxed);
-        top
+        let worst = children.iter().map(|child| child.worst).fold(0.0, f64::max);
+        let epsilon = children.iter().map(|child| child.epsilon).fold(0.0, f64::max);
+        let mut top = Top { built, forms: Vec::new(), step: 0.0, epsilon, worst };
+        if children.iter().all(|child| !child.forms.is_empty()) {
+            self.stand_in(&mut top, children)?;
+        }
+        if top.built.levels.is_empty() {
+            self.tally.bare.fetch_add(1, Ordering::Relaxed);
+            children.iter_mut().for_each(|child| self.extend(child, f64::INFINITY, usize::MAX));
+            top.worst = children.iter().map(|child| child.worst).fold(top.worst, f64::max);
+            top.forms.iter_mut().for_each(|form| form.error = form.error.max(top.worst));
+        } else if node == 0 {
+            // Nothing above the root takes over from it.
+            self.extend(&mut top, f64::INFINITY, usize::MAX);
+        }
+        self.tally.inner_ns.fetch_add(start.elapsed().as_nanos() as u64, Ordering::Relaxed);
+        Ok(top)
+    }
+
+    /// The levels `made` of an inner hlod, put together from its children's own where those are
+    /// instances and hardly more triangles: they cost no bytes.
+    fn cheaper_parts(&self, made: &[CoarseMesh], children: &[Top]) -> Option<Vec<Form>> {
+        let mut forms: Vec<Form> = Vec::new();
+        for level in made {
+            let mut parts = Vec::new();
+            let mut error = 0.0f64;
+            for child in children {
+                let fits = |form: &&Form| form.error <= level.error;
+                let form = child.forms.iter().rev().find(fits)?;
+                let Shape::Parts(own) = &form.shape else { return None };
+                error = error.max(form.error);
+                parts.extend_from_slice(own);
+            }
+            let form = self.form_of(parts.into_iter(), error);
+            let Shape::Parts(parts) = &form.shape else { return None };
+            let most = (level.mesh.triangles.len() as f64 * INSTANCES_PAY) as usize;
+            if form.triangles > most || parts.len() > MOST_PARTS {
+                break;
+            }
+            if forms.last().is_none_or(|before| before.triangles > form.triangles) {
+                forms.push(form);
+            }
+        }
+        (!forms.is_empty()).then_some(forms)
+    }
+
+    /// Drops a child's levels that err as much as the finest of its parent: one level for all
+    /// children serves better.
+    fn trim(&self, children: &mut [Top], finest: f64) {
+        for child in children {
+            let before = child.built.levels.len();
+            child.built.levels.retain(|level| level.error < finest);
+            let dropped = before - child.built.levels.len();
+            self.tally.needless.fetch_add(dropped as u64, Ordering::Relaxed);
+        }
+    }
+
+    /// Makes the levels of an inner hlod from its children's forms.
+    fn stand_in(&self, top: &mut Top, children: &mut [Top]) -> Result<(), WorkError> {
+        let total: usize = children.iter().map(|child| child.forms[0].triangles).sum();
+        let target = self.options.hlod_triangles.min(total / 2);
+        let mut merged = Mesh::default();
+        let mut error = 0.0f64;
+        let mut step = f64::INFINITY;
+        for child in children.iter() {
+            let least = SURPLUS * target * child.forms[0].triangles / total.max(1);
+            let enough = |form: &&Form| form.triangles >= least;
+            let form = child.forms.iter().rev().find(enough).unwrap_or(&child.forms[0]);
+            error = error.max(form.error);
+            step = step.min(child.step);
+            merged.append(&self.realise(form)?);
+        }
+        top.step = fitting_step(&merged, step);
+        if top.step != step {
+            error += snap(&mut merged, top.step);
+        }
+        let mut chain = Chain::new(&merged, error, top.epsilon, self.setting(top.built.node));
+        let mut made: Vec<CoarseMesh> = Vec::new();
+        while made.len() < self.options.hlod_levels {
+            let (before, finer) = made.last().map_or((&merged, error), |m| (&m.mesh, m.error));
+            let target = if made.is_empty() { target } else { before.triangles.len() / 2 };
+            match chain.next(before, finer, target) {
+                Ok(level) => made.push(level),
+                Err(end) => {
+                    self.tally.ended(end);
+                    break;
+                }
+            }
+        }
+        top.epsilon = chain.epsilon();
+        if made.is_empty() {
+            if merged.triangles.len() <= MOST_CARRIED {
+                let triangles = merged.triangles.len();
+                top.forms.push(Form { error, triangles, shape: Shape::Mesh(merged) });
+            }
+            return Ok(());
+        }
+        if let Some(forms) = self.cheaper_parts(&made, children) {
+            self.tally.instanced.fetch_add(forms.len() as u64, Ordering::Relaxed);
+            let finest = forms[0].error;
+            self.trim(children, finest);
+            forms.into_iter().for_each(|form| self.push_parts(top, form));
+            return Ok(());
+        }
+        for child in children.iter_mut().filter(|child| child.worst < made[0].error * GAP) {
+            self.extend(child, made[0].error, usize::MAX);
+        }
+        let floor = raise(&mut made, children);
+        self.trim(children, floor);
+        for level in made {
+            self.push(top, level);
+        }
+        let packed = top.built.levels.iter().flat_map(|level| &level.parts);
+        top.built.bounds = packed.fold(top.built.bounds, |sum, part| match &part.geometry {
+            Geometry::Packed(packed) => {
+                sum.union(Aabb::of(packed.positions().map(DVec3::from_array)))
+            }
+            Geometry::Written(_) => sum,
+        });
+        Ok(())
     }
 }
 
-/// Makes errors monotone between an hlod and its children. A child's level that errs as much as this
-/// hlod's finest is dropped: one mesh for all children serves better. A child without levels
-/// cannot be trimmed, so there this hlod's errors are raised over those below it.
-fn raise(coarse: &mut [CoarseMesh], children: &mut [Top]) {
-    let Some(finest) = coarse.first() else { return };
+fn part_triangles(part: &PendingPart) -> u32 {
+    match &part.geometry {
+        Geometry::Packed(packed) => packed.triangles(),
+        Geometry::Written(_) => 0,
+    }
+}
+
+/// The step to pack a mesh on: `step` if it lies on that grid and fits, else the finest that does.
+fn fitting_step(mesh: &Mesh, step: f64) -> f64 {
+    let bounds = mesh.bounds();
+    let farthest = bounds.min.abs().max(bounds.max.abs()).max_element();
+    let finest = finest_step(bounds.extent().max_element(), farthest);
+    if step.is_finite() { step.max(finest) } else { finest }
+}
+
+/// Makes errors monotone between an hlod and its children. A child without levels cannot be trimmed,
+/// so there this hlod's errors are raised over those below it. Returns the least error of the hlod.
+fn raise(made: &mut [CoarseMesh], children: &[Top]) -> f64 {
     let bare = children.iter().filter(|child| child.built.levels.is_empty());
     let floor =
-        bare.map(Top::worst).fold(finest.error, |floor, worst| floor.max(worst * ERROR_GROWTH));
+        bare.map(|c| c.worst * ERROR_GROWTH).fold(made[0].error, |floor, worst| floor.max(worst));
     let mut least = floor;
-    for level in coarse.iter_mut() {
+    for level in made.iter_mut() {
         level.error = level.error.max(least);
         least = level.error * ERROR_GROWTH;
     }
-    for child in children {
-        child.built.levels.retain(|level| level.error < floor);
-    }
-}
-
-/// The box around the decoded vertices of levels without a placement.
-fn bounds_of(levels: &[PendingLevel]) -> Aabb {
-    let packed = levels.iter().filter_map(|level| match &level.geometry {
-        Geometry::Packed(packed) => Some(packed),
-        Geometry::Written(_) => None,
-    });
-    Aabb::of(packed.flat_map(Packed::positions).map(DVec3::from_array))
+    floor
 }

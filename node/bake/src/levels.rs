@@ -1,24 +1,36 @@
-//! Levels of detail of one mesh: welded, simplified, and clustered where that is not enough.
+//! Levels of detail of one mesh: simplified, and welded first where that is not enough (paper 004,
+//! section 2.2.1: disjoint parts are joined, as GAPS does), each with a proven error.
 
 use crate::options::{MAX_MESH_TRIANGLES, Options};
-use geometry::deviation::{Surface, deviation, fine_samples, inner_samples};
+use geometry::hash::FastHash;
+use geometry::hausdorff::{Goal, Surface, beyond, directed};
 use geometry::mesh::Mesh;
 use geometry::simplify::simplify;
-use geometry::weld::weld;
+use geometry::weld::{Weld, weld};
+use std::collections::HashSet;
 
-/// First welding distance as a share of the mesh's diagonal: at the scale where a mesh is drawn
-/// coarser at all, far below a pixel.
-const FIRST_EPSILON: f64 = 1.0 / 2048.0;
-/// Last one: 16 clusters along the diagonal.
+/// Last welding distance as a share of the mesh's diagonal: 16 clusters along it.
 const LAST_EPSILON: f64 = 1.0 / 16.0;
 /// How far simplification may go in a round, in welding distances, before more is welded instead.
 const ERROR_PER_EPSILON: f64 = 4.0;
+/// Growth of the welding distance from round to round.
+const EPSILON_GROWTH: f64 = 4.0;
 /// A level is kept only if it has at most this share of the triangles of the one before.
 const PAYING_SHARE: f64 = 0.75;
 /// A result this much above its target is near enough.
 const NEAR_TARGET: f64 = 1.25;
-/// Allowance for what lies between the samples of a measured deviation.
-const SAMPLING_FACTOR: f64 = 1.25;
+/// A level that errs by more than this share of the mesh's diagonal says nothing about its shape.
+const MOST_ERROR: f64 = 0.25;
+/// The error need not be known any better than to this share of what the simplifier thinks it is.
+const ENOUGH: f64 = 0.25;
+/// Nor any tighter than to this share above what it is at least.
+const SLACK: f64 = 0.2;
+/// Cuts that a proof may take, by triangle of both meshes.
+const CUTS: usize = 8;
+/// A part that vanished is put back where the error would be so many times what it is elsewhere.
+const VANISHED: f64 = 2.0;
+/// Rounds of putting back what vanished.
+const RESTORE_ROUNDS: usize = 3;
 /// Least growth of an error from one level to the next, so that the order is strict.
 pub(crate) const ERROR_GROWTH: f64 = 1.0 + 1.0 / (1 << 20) as f64;
 
@@ -26,99 +38,172 @@ pub(crate) const ERROR_GROWTH: f64 = 1.0 + 1.0 / (1 << 20) as f64;
 #[derive(Debug, Clone)]
 pub(crate) struct CoarseMesh {
     pub(crate) mesh: Mesh,
-    /// Deviation from the original surface, mesh units.
+    /// Bound on the two-sided Hausdorff distance to the original surface, mesh units.
     pub(crate) error: f64,
-    /// Distance it was welded within, mesh units.
-    pub(crate) epsilon: f64,
 }
 
-/// How far a chain of levels is to go.
+/// Why a chain of levels ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum End {
+    /// The mesh is small as it is.
+    Small,
+    /// No form with few enough triangles was found.
+    Unpaying,
+    /// The only form found errs too much.
+    Wrong,
+}
+
+/// Where levels are made, and for what.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Goal {
-    /// Triangles of the first level; each further one has half of the one before.
-    pub(crate) first_target: usize,
-    /// Most levels.
-    pub(crate) most: usize,
-    /// Distance within which parts of the mesh have been welded before: less has been tried there.
-    pub(crate) epsilon: f64,
+pub(crate) struct Setting<'a> {
+    pub(crate) options: &'a Options,
+    /// Depth of the hlod: vertices with a lesser seam stay.
+    pub(crate) depth: u8,
+    /// By surface: seen from one side only.
+    pub(crate) single_sided: &'a [bool],
 }
 
-/// Levels of `mesh`, which deviates by `error` from the original, as long as they pay. Errors grow
-/// strictly.
-///
-/// A level's error is the lesser of two: the moves of its vertices added up step by step, and its
-/// deviation from `mesh` measured both ways. The first counts a part that vanished by its own size,
-/// since no more than that was there to be seen, but adds up far more than comes together in one
-/// place; the second counts a part that vanished by its distance to what is left.
-pub(crate) fn levels(mesh: &Mesh, error: f64, goal: Goal, options: &Options) -> Vec<CoarseMesh> {
-    if mesh.triangles.len() <= options.level_least_triangles {
-        return Vec::new();
-    }
-    let mut reducer = Reducer::new(mesh, &goal);
-    let original = Surface::new(mesh);
-    let mut levels: Vec<CoarseMesh> = Vec::new();
-    let mut target = goal.first_target;
-    let mut finer = error;
-    while levels.len() < goal.most {
-        let before = levels.last().map_or(mesh, |level| &level.mesh);
-        if before.triangles.len() <= options.level_least_triangles {
-            break;
-        }
-        let Some(mut coarse) = reducer.reduce(before, finer, target) else { break };
-        let back = deviation(inner_samples(&coarse.mesh), &original, 0.0);
-        let measured =
-            deviation(fine_samples(mesh), &Surface::new(&coarse.mesh), back) * SAMPLING_FACTOR;
-        coarse.error = coarse.error.min(error + measured).max(finer * ERROR_GROWTH);
-        target = coarse.mesh.triangles.len() / 2;
-        finer = coarse.error;
-        levels.push(coarse);
-    }
-    levels
-}
-
-/// Remembers how far welding has gone: a coarser level never needs less.
-struct Reducer {
+/// Makes coarser and coarser forms of one mesh.
+pub(crate) struct Chain<'a> {
+    setting: Setting<'a>,
+    base: &'a Mesh,
+    /// How far `base` strays from the original.
+    base_error: f64,
+    base_surface: Surface,
+    diagonal: f64,
+    /// Distance welded within; 0: only what is in the same place. A coarser level never needs less.
     epsilon: f64,
-    last_epsilon: f64,
 }
 
-impl Reducer {
-    fn new(mesh: &Mesh, goal: &Goal) -> Self {
-        let diagonal = mesh.bounds().diagonal();
-        let last_epsilon = diagonal * LAST_EPSILON;
-        Self { epsilon: goal.epsilon.max(diagonal * FIRST_EPSILON).min(last_epsilon), last_epsilon }
+impl<'a> Chain<'a> {
+    /// A chain over `base`, which strays by `base_error` from the original surface and whose parts
+    /// have been welded within `epsilon` before.
+    pub(crate) fn new(base: &'a Mesh, base_error: f64, epsilon: f64, setting: Setting<'a>) -> Self {
+        let diagonal = base.bounds().diagonal();
+        let base_surface = Surface::new(base);
+        Self { setting, base, base_error, base_surface, diagonal, epsilon }
     }
 
-    /// A mesh of about `target` triangles, or as near as the last epsilon gets; `None` if that does
-    /// not pay. Errors of the rounds add up.
-    fn reduce(&mut self, mesh: &Mesh, error: f64, target: usize) -> Option<CoarseMesh> {
-        let enough = (target as f64 * NEAR_TARGET) as usize;
-        let mut best: Option<CoarseMesh> = None;
+    /// Distance that parts have been welded within so far.
+    pub(crate) fn epsilon(&self) -> f64 {
+        self.epsilon
+    }
+
+    /// The next level after `before`, whose error is `finer`, with about `target` triangles.
+    pub(crate) fn next(
+        &mut self,
+        before: &Mesh,
+        finer: f64,
+        target: usize,
+    ) -> Result<CoarseMesh, End> {
+        if before.triangles.len() <= self.setting.options.level_least_triangles {
+            return Err(End::Small);
+        }
+        let (mut mesh, estimate) = self.reduce(before, target);
+        let most = (before.triangles.len() as f64 * PAYING_SHARE) as usize;
+        let most = most.min(MAX_MESH_TRIANGLES);
+        if mesh.triangles.is_empty() || mesh.triangles.len() > most {
+            return Err(End::Unpaying);
+        }
+        let own = self.measured(&mut mesh, estimate);
+        if mesh.triangles.len() > most {
+            return Err(End::Unpaying);
+        }
+        let error = (self.base_error + own).max(finer * ERROR_GROWTH);
+        if own > self.diagonal * MOST_ERROR || !error.is_finite() {
+            return Err(End::Wrong);
+        }
+        Ok(CoarseMesh { mesh, error })
+    }
+
+    /// A mesh of about `target` triangles, or as near as the last epsilon gets, and what its deviation
+    /// from `mesh` is thought to be.
+    fn reduce(&mut self, mesh: &Mesh, target: usize) -> (Mesh, f64) {
+        let edge = mean_edge(mesh);
+        let last_epsilon = self.diagonal * LAST_EPSILON;
+        let mut estimate = 0.0;
+        let mut best: Option<Mesh> = None;
         loop {
-            let (before, so_far) = best.as_ref().map_or((mesh, error), |b| (&b.mesh, b.error));
-            let welded = weld(before, self.epsilon);
-            let simplified = simplify(&welded, target, self.epsilon * ERROR_PER_EPSILON);
+            let before = best.as_ref().unwrap_or(mesh);
+            let Setting { depth, single_sided, .. } = self.setting;
+            let welded = weld(before, Weld { epsilon: self.epsilon, depth, single_sided });
+            let limit = edge.max(self.epsilon * ERROR_PER_EPSILON);
+            let simplified = simplify(&welded, target, limit);
+            let held = welded.locked.iter().filter(|&&locked| locked).count();
             let coarse = welded.with_triangles(&simplified.triangles);
             if coarse.triangles.is_empty() {
                 break;
             }
-            let error =
-                (so_far + welded.displacement + simplified.error).max(so_far * ERROR_GROWTH);
+            estimate += welded.displacement + simplified.estimate;
+            let enough = ((target as f64 * NEAR_TARGET) as usize).max(2 * held);
             let done = coarse.triangles.len() <= enough;
-            best = Some(CoarseMesh { mesh: coarse, error, epsilon: self.epsilon });
-            if done || self.epsilon >= self.last_epsilon {
+            best = Some(coarse);
+            if done || self.epsilon >= last_epsilon {
                 break;
             }
-            self.epsilon *= 2.0;
+            self.epsilon = (self.epsilon * EPSILON_GROWTH).max(edge * 0.5).min(last_epsilon);
         }
-        let most = (mesh.triangles.len() as f64 * PAYING_SHARE) as usize;
-        best.filter(|b| b.mesh.triangles.len() <= most.min(MAX_MESH_TRIANGLES))
+        (best.unwrap_or_default(), estimate)
     }
+
+    /// A bound on the deviation of `mesh` from the base, both ways, after parts of the base that left
+    /// nothing near them have been put back into it.
+    fn measured(&self, mesh: &mut Mesh, estimate: f64) -> f64 {
+        let goal = Goal {
+            enough: estimate * ENOUGH,
+            slack: SLACK,
+            budget: CUTS * (mesh.triangles.len() + self.base.triangles.len()),
+        };
+        let back = directed(mesh, &self.base_surface, &goal).upper;
+        let tolerable = VANISHED * back.max(estimate);
+        for round in 0.. {
+            let surface = Surface::new(mesh);
+            let goal = Goal { enough: goal.enough.max(back), ..goal };
+            let forth = directed(self.base, &surface, &goal).upper;
+            if forth <= tolerable || round == RESTORE_ROUNDS {
+                return back.max(forth);
+            }
+            let far = beyond(self.base, &surface, tolerable);
+            restore(mesh, self.base, far, tolerable);
+        }
+        unreachable!("the loop ends by its rounds")
+    }
+}
+
+/// Puts the largest of the triangles `far` of `base` back into `mesh`, at most one a cell as wide as
+/// `reach`: what vanished is then no farther away than that.
+fn restore(mesh: &mut Mesh, base: &Mesh, mut far: Vec<u32>, reach: f64) {
+    let area = |triangle: u32| {
+        let [a, b, c] = base.corners(base.triangles[triangle as usize]);
+        (b - a).cross(c - a).length_squared()
+    };
+    far.sort_by(|&a, &b| area(b).total_cmp(&area(a)).then(a.cmp(&b)));
+    let mut taken: HashSet<[i64; 3], FastHash> = HashSet::default();
+    for triangle in far {
+        let corners = base.triangles[triangle as usize];
+        let [a, b, c] = base.corners(corners);
+        let cell = ((a + b + c) / (3.0 * reach)).floor().to_array().map(|c| c as i64);
+        if taken.insert(cell) {
+            let first = mesh.vertices.len() as u32;
+            mesh.vertices.extend(corners.map(|index| base.vertices[index as usize]));
+            mesh.triangles.push([first, first + 1, first + 2]);
+        }
+    }
+}
+
+/// About the length of an edge: the side of a square as large as two triangles of mean area.
+fn mean_edge(mesh: &Mesh) -> f64 {
+    let area = |t: &[u32; 3]| {
+        let [a, b, c] = mesh.corners(*t);
+        (b - a).cross(c - a).length()
+    };
+    (mesh.triangles.iter().map(area).sum::<f64>() / mesh.triangles.len().max(1) as f64).sqrt()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use geometry::hausdorff::sampled;
     use geometry::mesh::MeshVertex;
     use glam::{DVec3, Vec3};
 
@@ -154,40 +239,70 @@ mod tests {
         mesh.triangles.iter().map(of).sum()
     }
 
-    fn goal(first_target: usize) -> Goal {
-        Goal { first_target, most: 20, epsilon: 0.0 }
+    /// All levels of a mesh, each half of the one before.
+    fn levels(mesh: &Mesh, error: f64) -> (Vec<CoarseMesh>, End) {
+        let options = Options::default();
+        let setting = Setting { options: &options, depth: 0, single_sided: &[] };
+        let mut chain = Chain::new(mesh, error, 0.0, setting);
+        let mut levels: Vec<CoarseMesh> = Vec::new();
+        loop {
+            let (before, finer) =
+                levels.last().map_or((mesh, error), |level| (&level.mesh, level.error));
+            match chain.next(before, finer, before.triangles.len() / 2) {
+                Ok(level) => levels.push(level),
+                Err(end) => return (levels, end),
+            }
+        }
     }
 
     #[test]
     fn nothing_and_little_have_no_levels() {
-        let options = Options::default();
-        assert!(levels(&Mesh::default(), 0.1, goal(4), &options).is_empty());
-        assert!(levels(&quads(2, 0.1), 0.1, goal(4), &options).is_empty());
+        assert!(matches!(levels(&quads(2, 0.1), 0.1), (none, End::Small) if none.is_empty()));
         let heap = flat(
             vec![DVec3::splat(1e7); 60],
             (0..20).map(|i| [3 * i, 3 * i + 1, 3 * i + 2]).collect(),
         );
-        assert!(levels(&heap, 0.1, goal(10), &options).is_empty());
+        assert!(matches!(levels(&heap, 0.1), (none, End::Unpaying) if none.is_empty()));
     }
 
     #[test]
     fn nearly_touching_quads_become_few_and_keep_their_area() {
-        let mesh = quads(40, 0.01);
-        let levels = levels(&mesh, 1e-6, goal(1600), &Options::default());
+        let (levels, _) = levels(&quads(40, 0.01), 1e-6);
         let last = levels.last().unwrap();
-        assert!(last.mesh.triangles.len() <= 16, "{}", last.mesh.triangles.len());
+        assert!(last.mesh.triangles.len() <= 32, "{}", last.mesh.triangles.len());
         for level in &levels {
             assert!((area(&level.mesh) / 1600.0 - 1.0).abs() < 0.1, "{}", area(&level.mesh));
         }
     }
 
     #[test]
-    fn far_apart_parts_are_reduced_too_and_errors_grow_strictly() {
-        let levels = levels(&quads(40, 0.5), 1e-6, goal(1600), &Options::default());
-        assert!(levels.len() >= 4, "{}", levels.len());
+    fn errors_bound_what_is_sampled_and_grow_strictly() {
+        let mesh = quads(40, 0.5);
+        let original = Surface::new(&mesh);
+        let (levels, _) = levels(&mesh, 1e-6);
+        assert!(levels.len() >= 3, "{}", levels.len());
         assert!(levels.windows(2).all(|w| w[0].error < w[1].error));
-        assert!(levels.windows(2).all(|w| {
-            w[1].mesh.triangles.len() as f64 <= w[0].mesh.triangles.len() as f64 * PAYING_SHARE
-        }));
+        for level in &levels {
+            let seen = sampled(&level.mesh, &original, 8).max(sampled(
+                &mesh,
+                &Surface::new(&level.mesh),
+                8,
+            ));
+            assert!(seen <= level.error, "{seen} > {}", level.error);
+        }
+    }
+
+    #[test]
+    fn a_small_part_far_from_the_rest_is_put_back() {
+        let mut mesh = quads(30, 0.0);
+        let mut bolt = quads(3, 0.0);
+        bolt.vertices.iter_mut().for_each(|v| v.position = v.position * 0.001 + DVec3::Z * 9.0);
+        mesh.append(&bolt);
+        let (levels, _) = levels(&mesh, 1e-6);
+        assert!(levels.len() >= 3);
+        for level in &levels {
+            assert!(level.error < 4.0, "{}", level.error);
+            assert!(level.mesh.vertices.iter().any(|v| v.position.z > 8.0));
+        }
     }
 }

@@ -59,16 +59,23 @@ impl Mesh {
     /// The mesh placed by `target_from_mesh`. Normals go with the inverse transpose, and a mirror
     /// turns the windings over, so that fronts stay fronts.
     pub fn placed(mut self, target_from_mesh: &DAffine3) -> Self {
-        let normal_matrix = cofactors(&target_from_mesh.matrix3);
         for vertex in &mut self.vertices {
             vertex.position = target_from_mesh.transform_point3(vertex.position);
+        }
+        self.turn(&target_from_mesh.matrix3);
+        self
+    }
+
+    /// Normals and windings as `linear` makes them; positions stay.
+    pub fn turn(&mut self, linear: &DMat3) {
+        let normal_matrix = cofactors(linear);
+        for vertex in &mut self.vertices {
             let normal = normal_matrix * vertex.normal.as_dvec3();
             vertex.normal = normal.try_normalize().unwrap_or(DVec3::Z).as_vec3();
         }
-        if target_from_mesh.matrix3.determinant() < 0.0 {
+        if linear.determinant() < 0.0 {
             self.triangles.iter_mut().for_each(|triangle| triangle.swap(1, 2));
         }
-        self
     }
 }
 

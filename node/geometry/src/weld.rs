@@ -4,10 +4,10 @@
 //! may work across them; with a large one it is vertex clustering (Rossignac and Borrel 1993), which
 //! reduces whatever an edge-collapse simplifier cannot, at a displacement known exactly.
 
+use crate::hash::FastHash;
 use crate::mesh::{Mesh, MeshVertex, face_normal};
 use glam::{DVec3, Vec3};
 use std::collections::{HashMap, HashSet};
-use std::hash::{BuildHasherDefault, Hasher};
 
 /// Steps a texture is divided into: wedges that differ by less are joined where positions are.
 const TEXTURE_STEPS: f32 = 32.0;
@@ -270,36 +270,6 @@ fn representatives(mesh: &Mesh, epsilon: f64, stays: &[bool]) -> (Vec<u32>, f64)
         }
     }
     (representative, farthest.sqrt())
-}
-
-/// Look-up tables here are never iterated, so their order is free; the default hasher is slow.
-type FastHash = BuildHasherDefault<Multiplicative>;
-
-/// Multiplies and rotates each word in (the scheme of rustc's FxHasher).
-#[derive(Default)]
-struct Multiplicative(u64);
-
-impl Hasher for Multiplicative {
-    fn finish(&self) -> u64 {
-        // The table takes its slot from the low bits, which a product mixes least.
-        self.0 ^ self.0 >> 32
-    }
-
-    fn write(&mut self, bytes: &[u8]) {
-        for chunk in bytes.chunks(8) {
-            let mut word = [0u8; 8];
-            word[..chunk.len()].copy_from_slice(chunk);
-            self.write_u64(u64::from_le_bytes(word));
-        }
-    }
-
-    fn write_u32(&mut self, word: u32) {
-        self.write_u64(u64::from(word));
-    }
-
-    fn write_u64(&mut self, word: u64) {
-        self.0 = (self.0.rotate_left(5) ^ word).wrapping_mul(0x9e37_79b9_7f4a_7c15);
-    }
 }
 
 #[cfg(test)]
