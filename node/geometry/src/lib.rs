@@ -4,6 +4,7 @@ pub mod bounds;
 pub mod deviation;
 pub mod frustum;
 pub mod hash;
+pub mod hausdorff;
 pub mod hierarchy;
 pub mod mesh;
 pub mod partition;
