@@ -4,7 +4,7 @@ use crate::hlod::{Builder, PieceLevels, Subtree, Top, WrittenLevel, piece_levels
 use crate::import::{ImportError, ImportErrorKind, import};
 use crate::options::{Options, OptionsError};
 use crate::output::Output;
-use crate::pieces::{Plan, plan};
+use crate::pieces::{Leaf, Plan, plan};
 use crate::progress::Progress;
 use crate::source::Source;
 use crate::summary::{StageSeconds, Summary, peak_memory_bytes};
@@ -146,7 +146,9 @@ fn run(
 
     progress.stage("hierarchy", 1);
     let boxes: Vec<_> = plan.leaves.iter().map(|leaf| leaf.bounds).collect();
-    let tree = hierarchy::build(&boxes, options.branching);
+    let piece_triangles = |leaf: &Leaf| plan.pieces[leaf.piece as usize].triangles() as u32;
+    let triangles: Vec<u32> = plan.leaves.iter().map(piece_triangles).collect();
+    let tree = hierarchy::build(&boxes, &triangles, options.branching);
     seconds.hierarchy = lap();
 
     let mut output = Output::create(output, tree.nodes.len())?;

@@ -1,12 +1,17 @@
 //! Pure geometric kernels, one algorithm a file: slices and numbers in, slices and numbers out.
 
+mod bottom_up;
 pub mod bounds;
+pub mod cluster;
+pub mod criteria;
 pub mod deviation;
+mod divide;
 pub mod frustum;
 pub mod hash;
 pub mod hausdorff;
 pub mod hierarchy;
 pub mod mesh;
+mod nearest;
 pub mod partition;
 pub mod simplify;
 pub mod weld;
