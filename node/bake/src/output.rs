@@ -1,138 +1,270 @@
-//! The scene file while it grows: meshes go out as they come, the skeleton is kept for the end.
+//! The scene file while it grows: meshes go out as they come, the skeleton is kept for the end. What
+//! has been written is noted in a journal, so that a bake that was cut short goes on behind it.
 
-use crate::hlod::{Built, Geometry, PendingLevel};
-use crate::options::Options;
+use crate::built::{Built, Geometry, PendingLevel};
+use crate::bytes::{Decoder, Encoder, Torn};
 use crate::pack::Packed;
-use crate::pieces::{Piece, Plan};
-use crate::source::Source;
-use crate::summary::{StageSeconds, Summary, TreeDepth};
-use geometry::hierarchy::Tree;
-use protocol::format::{Hlod, Level, NONE, SceneInfo, SceneWriter, WriteError};
+use crate::pipeline::BakeError;
+use crate::plan::Plan;
+use crate::summary::TreeDepth;
+use crate::work::{Appender, Key, Work, WorkError};
+use protocol::format::{
+    Blob, Finished, Hlod, Level, NONE, Part, SceneInfo, SceneWriter, Wrap, WriteError, WriterState,
+};
 use protocol::id::BlobId;
 use std::path::Path;
 use std::time::Instant;
 
+const JOURNAL: &str = "journal";
+const SCENE: &str = "scene";
+/// Bytes of a record's length and checksum.
+const SEAL: usize = 40;
+
+/// An hlod as it will stand in the skeleton, its links and the numbers of levels and parts still open.
+#[derive(Debug, Clone, PartialEq)]
+struct Row {
+    hlod: Hlod,
+    levels: Vec<Level>,
+    parts: Vec<Part>,
+}
+
 /// What has been written so far.
 pub(crate) struct Output {
     writer: SceneWriter,
-    /// By node: the hlod, its links and first level still open, and its levels.
-    hlods: Vec<Option<(Hlod, Vec<Level>)>>,
-    written_triangles: u64,
+    journal: Appender,
+    /// Blobs and rows that the journal does not have yet.
+    blobs: usize,
+    fresh: Vec<u32>,
+    /// By node.
+    rows: Vec<Option<Row>>,
+    pub(crate) written_triangles: u64,
     /// Spent writing.
     pub(crate) seconds: f64,
 }
 
 impl Output {
-    /// Starts the file of a tree with so many nodes.
-    pub(crate) fn create(path: &Path, nodes: usize) -> Result<Self, WriteError> {
-        let writer = SceneWriter::create(path)?;
-        Ok(Self { writer, hlods: vec![None; nodes], written_triangles: 0, seconds: 0.0 })
+    /// Starts the file that becomes `path`, for a tree of so many nodes; or goes on with it, if what
+    /// the working folder has was made under the same key. Then also returns the notes of every
+    /// checkpoint.
+    pub(crate) fn begin(
+        work: &Work,
+        path: &Path,
+        key: &Key,
+        nodes: usize,
+    ) -> Result<(Self, Vec<Vec<u8>>), BakeError> {
+        let bytes = std::fs::read(work.path(JOURNAL)).unwrap_or_default();
+        let mut so_far = SoFar::new(nodes);
+        let valid = so_far.read(&bytes, key);
+        let state = WriterState {
+            geometry_bytes: so_far.geometry_bytes,
+            blobs: std::mem::take(&mut so_far.blobs),
+        };
+        let blobs = state.blobs.len();
+        let resumed = match so_far.notes.is_empty() {
+            true => None,
+            false => SceneWriter::resume(&work.path(SCENE), path, state).ok(),
+        };
+        let (writer, journal, so_far, blobs) = match resumed {
+            Some(writer) => {
+                (writer, Appender::resume(&work.path(JOURNAL), valid as u64)?, so_far, blobs)
+            }
+            None => {
+                let mut journal = Appender::create(&work.path(JOURNAL))?;
+                journal.append(&[key]).map_err(|e| journal.error(e))?;
+                journal.flush()?;
+                let writer = SceneWriter::create_at(&work.path(SCENE), path)?;
+                (writer, journal, SoFar::new(nodes), 0)
+            }
+        };
+        let SoFar { rows, notes, written_triangles, .. } = so_far;
+        let output =
+            Self { writer, journal, blobs, fresh: Vec::new(), rows, written_triangles, seconds: 0.0 };
+        Ok((output, notes))
     }
 
     /// Writes one mesh.
-    pub(crate) fn write_mesh(&mut self, mesh: &Packed) -> Result<BlobId, WriteError> {
+    pub(crate) fn write_mesh(&mut self, mesh: &Packed) -> Result<BlobId, BakeError> {
+        let start = Instant::now();
         self.written_triangles += u64::from(mesh.triangles());
-        self.writer.add_blob(mesh.origin, mesh.step, &mesh.vertices, &mesh.indices)
+        let (vertices, classes) = (mesh.vertices(), mesh.classes);
+        let blob = self.writer.add_blob(mesh.origin, mesh.step, vertices, &mesh.indices, classes)?;
+        self.seconds += start.elapsed().as_secs_f64();
+        Ok(blob)
     }
 
     /// Writes an hlod's meshes and keeps its entry.
-    pub(crate) fn write(&mut self, built: Built) -> Result<(), WriteError> {
-        let start = Instant::now();
-        let mut levels = Vec::with_capacity(built.levels.len());
-        for level in built.levels {
-            let PendingLevel { error, geometry, triangles, transform } = level;
-            let blob = match geometry {
-                Geometry::Written(blob) => blob,
-                Geometry::Packed(mesh) => self.write_mesh(&mesh)?,
-            };
-            levels.push(Level { error, blob: blob.0, transform, triangles, reserved: 0 });
-        }
-        let hlod = Hlod {
-            min: built.bounds.min.to_array(),
-            max: built.bounds.max.to_array(),
-            parent: NONE,
-            first_child: 0,
-            child_count: 0,
-            first_level: 0,
-            level_count: levels.len() as u32,
-            object: built.object,
-            source_triangles: built.source_triangles,
+    pub(crate) fn write(&mut self, built: Built) -> Result<(), BakeError> {
+        let mut row = Row {
+            hlod: Hlod {
+                min: built.bounds.min.to_array(),
+                max: built.bounds.max.to_array(),
+                parent: NONE,
+                first_child: 0,
+                child_count: 0,
+                first_level: 0,
+                level_count: built.levels.len() as u32,
+                object: built.object,
+                source_triangles: built.source_triangles,
+            },
+            levels: Vec::with_capacity(built.levels.len()),
+            parts: Vec::new(),
         };
-        self.hlods[built.node as usize] = Some((hlod, levels));
+        for PendingLevel { error, triangles, parts } in built.levels {
+            row.levels.push(Level {
+                error,
+                first_part: row.parts.len() as u32,
+                part_count: parts.len() as u32,
+                triangles,
+                reserved: 0,
+            });
+            for part in parts {
+                let blob = match part.geometry {
+                    Geometry::Written(blob) => blob,
+                    Geometry::Packed(mesh) => self.write_mesh(&mesh)?,
+                };
+                row.parts.push(Part { blob: blob.0, transform: part.transform });
+            }
+        }
+        self.rows[built.node as usize] = Some(row);
+        self.fresh.push(built.node);
+        Ok(())
+    }
+
+    /// Makes sure that a bake begun anew goes on from here, with this note in its hands.
+    pub(crate) fn checkpoint(&mut self, note: &[u8]) -> Result<(), BakeError> {
+        let start = Instant::now();
+        let state = self.writer.checkpoint()?;
+        let mut out = Encoder::default();
+        out.put_slice(&state.blobs[self.blobs..]);
+        out.put([state.geometry_bytes, self.written_triangles]);
+        out.put(self.fresh.len() as u64);
+        for node in self.fresh.drain(..) {
+            let row = self.rows[node as usize].as_ref().expect("a fresh row was written");
+            out.put(node);
+            out.put(row.hlod);
+            out.put_slice(&row.levels);
+            out.put_slice(&row.parts);
+        }
+        out.put_slice(note);
+        self.blobs = state.blobs.len();
+        let (length, hash) = (out.0.len() as u64, blake3::hash(&out.0));
+        let record: [&[u8]; 3] = [&length.to_le_bytes(), hash.as_bytes(), &out.0];
+        self.journal.append(&record).map_err(|source| self.journal.error(source))?;
+        self.journal.flush()?;
         self.seconds += start.elapsed().as_secs_f64();
         Ok(())
     }
 
-    /// Numbers the levels, links the tree and completes the file.
-    pub(crate) fn finish(
-        self,
-        source: &Source,
-        plan: &Plan,
-        tree: &Tree,
-        options: &Options,
-    ) -> Result<Summary, WriteError> {
-        let mut hlods = Vec::with_capacity(tree.nodes.len());
-        let mut levels = Vec::new();
+    /// Appends a texture.
+    pub(crate) fn write_texture(
+        &mut self,
+        side: u32,
+        wrap: [Wrap; 2],
+        rgba: &[u8],
+    ) -> Result<(), WriteError> {
+        self.writer.add_texture(side, wrap, rgba).map(drop)
+    }
+
+    /// Numbers levels and parts, links the tree and completes the file.
+    pub(crate) fn finish(self, info: SceneInfo, plan: &Plan) -> Result<Written, WriteError> {
+        let nodes = &plan.tree.nodes;
+        let mut hlods = Vec::with_capacity(nodes.len());
+        let mut levels: Vec<Level> = Vec::new();
+        let mut parts = Vec::new();
         let mut depths: Vec<TreeDepth> = Vec::new();
-        let by_node = self.hlods.into_iter().zip(&tree.nodes).zip(tree.depths());
-        for ((written, node), depth) in by_node {
-            let (mut hlod, own) = written.expect("every node was written");
-            hlod.parent = node.parent.unwrap_or(NONE);
-            hlod.first_child = node.first_child;
-            hlod.child_count = node.child_count;
-            hlod.first_level = levels.len() as u32;
-            if depths.len() <= depth as usize {
-                depths.resize(depth as usize + 1, TreeDepth::default());
+        for ((row, node), &depth) in self.rows.into_iter().zip(nodes).zip(&plan.depths) {
+            let mut row = row.expect("every node was written");
+            row.hlod.parent = node.parent.unwrap_or(NONE);
+            row.hlod.first_child = node.first_child;
+            row.hlod.child_count = node.child_count;
+            row.hlod.first_level = levels.len() as u32;
+            if depths.len() <= usize::from(depth) {
+                depths.resize(usize::from(depth) + 1, TreeDepth::default());
             }
-            let row = &mut depths[depth as usize];
-            row.hlods += 1;
-            row.leaves += u64::from(node.item.is_some());
-            row.finest_triangles += own.first().map_or(0, |level| u64::from(level.triangles));
-            row.coarsest_triangles += own.last().map_or(0, |level| u64::from(level.triangles));
-            levels.extend(own);
-            hlods.push(hlod);
+            let at_depth = &mut depths[usize::from(depth)];
+            at_depth.hlods += 1;
+            at_depth.leaves += u64::from(node.item.is_some());
+            let triangles = |level: Option<&Level>| level.map_or(0, |l| u64::from(l.triangles));
+            at_depth.finest_triangles += triangles(row.levels.first());
+            at_depth.coarsest_triangles += triangles(row.levels.last());
+            row.levels.iter_mut().for_each(|level| level.first_part += parts.len() as u32);
+            levels.append(&mut row.levels);
+            parts.append(&mut row.parts);
+            hlods.push(row.hlod);
         }
-        let source_triangles = hlods[0].source_triangles;
-        let unique_triangles = plan.pieces.iter().map(Piece::triangles).sum();
-        let info = SceneInfo {
-            up: source.up,
-            source_triangles,
-            unique_triangles,
-            objects: source.objects.len() as u32,
-            reserved: 0,
-            seed: options.seed,
-            reserved2: 0,
-        };
-        let summary = Summary {
-            source_triangles,
-            unique_triangles,
-            written_triangles: self.written_triangles,
-            objects: source.objects.len() as u64,
-            shared_meshes: shared_meshes(source),
-            leaves: plan.leaves.len() as u64,
-            hlods: hlods.len() as u64,
-            levels: levels.len() as u64,
-            source_bytes: source_bytes(source),
-            file_bytes: 0,
-            digest: String::new(),
-            depths,
-            seconds: StageSeconds { write: self.seconds, ..StageSeconds::default() },
-            peak_memory_bytes: None,
-            notes: source.notes.iter().chain(&plan.notes).cloned().collect(),
-        };
-        let finished = self.writer.finish(info, hlods, levels, plan.transforms.clone())?;
-        let digest = finished.digest.iter().map(|byte| format!("{byte:02x}")).collect();
-        Ok(Summary { file_bytes: finished.bytes, digest, ..summary })
+        let count = levels.len() as u64;
+        let finished = self.writer.finish(info, hlods, levels, parts, plan.transforms.clone())?;
+        Ok(Written { finished, levels: count, depths })
     }
 }
 
-fn shared_meshes(source: &Source) -> u64 {
-    let mut users = vec![0u32; source.meshes.len()];
-    source.objects.iter().for_each(|object| users[object.mesh] += 1);
-    users.iter().filter(|&&count| count > 1).count() as u64
+/// A finished file.
+pub(crate) struct Written {
+    pub(crate) finished: Finished,
+    pub(crate) levels: u64,
+    pub(crate) depths: Vec<TreeDepth>,
 }
 
-/// Positions and normals of 12 bytes, colours of 4, triangles of 12.
-fn source_bytes(source: &Source) -> u64 {
-    source.meshes.iter().map(|m| 28 * m.positions.len() as u64 + 12 * m.indices.len() as u64).sum()
+/// What a journal says.
+struct SoFar {
+    blobs: Vec<Blob>,
+    geometry_bytes: u64,
+    written_triangles: u64,
+    rows: Vec<Option<Row>>,
+    notes: Vec<Vec<u8>>,
+}
+
+impl SoFar {
+    fn new(nodes: usize) -> Self {
+        let (blobs, notes) = (Vec::new(), Vec::new());
+        Self { blobs, geometry_bytes: 0, written_triangles: 0, rows: vec![None; nodes], notes }
+    }
+
+    /// Takes the whole records of a journal under this key; returns how far they reach.
+    fn read(&mut self, bytes: &[u8], key: &Key) -> usize {
+        if !bytes.starts_with(key) {
+            return 0;
+        }
+        let mut at = key.len();
+        while let Some(seal) = bytes.get(at..at + SEAL) {
+            let (length, hash) = seal.split_at(8);
+            let length = u64::from_le_bytes(length.try_into().expect("eight bytes")) as usize;
+            let end = (at + SEAL).saturating_add(length);
+            let Some(record) = bytes.get(at + SEAL..end) else { break };
+            if blake3::hash(record).as_bytes()[..] != *hash || self.take(record).is_err() {
+                break;
+            }
+            at = end;
+        }
+        at
+    }
+
+    fn take(&mut self, record: &[u8]) -> Result<(), Torn> {
+        let mut from = Decoder(record);
+        let blobs = from.take_slice()?;
+        let [geometry_bytes, written_triangles] = from.take()?;
+        let mut rows = Vec::new();
+        for _ in 0..from.take_count()? {
+            let node = from.take::<u32>()?;
+            let (hlod, levels, parts) = (from.take()?, from.take_slice()?, from.take_slice()?);
+            rows.push((node, Row { hlod, levels, parts }));
+        }
+        let note = from.take_slice()?;
+        from.end()?;
+        if rows.iter().any(|(node, _)| *node as usize >= self.rows.len()) {
+            return Err(Torn);
+        }
+        self.blobs.extend_from_slice(&blobs);
+        self.geometry_bytes = geometry_bytes;
+        self.written_triangles = written_triangles;
+        rows.into_iter().for_each(|(node, row)| self.rows[node as usize] = Some(row));
+        self.notes.push(note);
+        Ok(())
+    }
+}
+
+impl From<WorkError> for BakeError {
+    fn from(error: WorkError) -> Self {
+        Self::Work(error)
+    }
 }

@@ -1,27 +1,39 @@
-//! The whole bake: sources in, one scene file out.
+//! The whole bake: sources in, one scene file out, stage by stage. What a stage makes lies in the
+//! working folder under the digest of what it was made from, so none is done twice.
 
-use crate::hlod::{Builder, PieceLevels, Subtree, Top, WrittenLevel, piece_levels};
-use crate::import::{ImportError, ImportErrorKind, import};
+use crate::built::{Subtree, Top};
+use crate::bytes::{Decoder, Encoder};
+use crate::hlod::{Builder, Tally};
+use crate::import::{ImportError, ImportErrorKind, ImportLimits, import};
+use crate::keys::{self, Keys};
+use crate::levels::Setting;
 use crate::options::{Options, OptionsError};
 use crate::output::Output;
-use crate::pieces::{Leaf, Plan, plan};
+use crate::pack::Packed;
+use crate::plan::{Pieces, Plan};
 use crate::progress::Progress;
-use crate::source::Source;
-use crate::summary::{StageSeconds, Summary, peak_memory_bytes};
-use geometry::hierarchy::{self, Tree};
-use protocol::format::WriteError;
+use crate::shared::{self, MadeLevel, SharedLevels, SharedWriter};
+use crate::source::{Imported, Sink, Wrap};
+use crate::spool::{Scene, Spool};
+use crate::summary::{self, StageSeconds, Summary};
+use crate::work::{Records, Work, WorkError};
+use geometry::criteria::Criteria;
+use protocol::format::{self, SceneInfo, WriteError};
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};
-use std::sync::atomic::AtomicU64;
 use std::time::Instant;
 
-/// Source triangles of a subtree that is built as a whole before anything of it is written. Bounds
-/// the memory; the file is the same for any value.
-const BLOCK_TRIANGLES: u64 = 1 << 18;
+/// Most source triangles of a subtree that is built as a whole before anything of it is written. The
+/// file is the same for any value.
+const MOST_BLOCK_TRIANGLES: u64 = 1 << 18;
+/// Bytes that a subtree being built takes, by source triangle.
+const BLOCK_BYTES: u64 = 512;
+/// Bytes that a mesh being divided takes, by byte of its own.
+const SLICING_FACTOR: u64 = 3;
 /// Shared pieces whose levels are made before they are written.
 const BATCH_PIECES: usize = 256;
 
-/// Why a bake failed. Nothing is left at the output's name that was not there before.
+/// Why a bake failed. Nothing is changed at the output's name.
 #[derive(Debug, thiserror::Error)]
 pub enum BakeError {
     /// A source cannot be read.
@@ -40,6 +52,21 @@ pub enum BakeError {
         /// What was left out, if anything.
         because: String,
     },
+    /// One mesh needs more than all the memory allowed.
+    #[error(
+        "mesh \"{mesh}\" needs {needed} bytes of memory and --memory allows {allowed}; raise it, or split the mesh"
+    )]
+    Memory {
+        /// Its name.
+        mesh: String,
+        /// Bytes it takes to divide it.
+        needed: u64,
+        /// Bytes allowed.
+        allowed: u64,
+    },
+    /// The working folder cannot be used.
+    #[error(transparent)]
+    Work(WorkError),
     /// The scene file cannot be written.
     #[error(transparent)]
     Write(#[from] WriteError),
@@ -62,8 +89,10 @@ impl BakeError {
                 ImportErrorKind::Io => 74,
                 ImportErrorKind::BadData => 65,
             },
-            Self::Options(_) => 78,
+            Self::Options(_) | Self::Memory { .. } => 78,
             Self::Empty { .. } => 65,
+            Self::Work(WorkError::Busy { .. }) => 75,
+            Self::Work(WorkError::Io { .. }) => 74,
             Self::Write(WriteError::TooMany { .. }) => 65,
             Self::Write(WriteError::Invalid { .. }) => 70,
             Self::Write(_) => 74,
@@ -73,7 +102,8 @@ impl BakeError {
 }
 
 /// Bakes all sources into one scene. The bytes written depend on sources and options alone, never on
-/// the number of threads.
+/// the number of threads, the memory, or how often the bake was cut short. A scene that is already
+/// there as it would become is left alone.
 pub fn bake(
     inputs: &[PathBuf],
     output: &Path,
@@ -81,188 +111,404 @@ pub fn bake(
     progress: &dyn Progress,
 ) -> Result<Summary, BakeError> {
     options.check()?;
-    let start = Instant::now();
-    progress.stage("import", inputs.len() as u64);
-    let mut source = Source::default();
-    for input in inputs {
-        join(&mut source, import(input)?);
-        progress.advance(1);
+    let mut clock = Clock::start();
+    let keys = Keys::of_files(inputs, options)?;
+    if let Some(summary) = summary::of_unchanged(output, &keys.scene) {
+        return Ok(summary);
     }
+    let work = Work::open(output)?;
+    progress.stage("import", inputs.len() as u64);
+    let scene = match loaded(&work, "import", &keys.import, Scene::decode)
+        .filter(|scene| is_as_long(Scene::open(&work), scene.spooled_bytes()))
+    {
+        Some(scene) => scene,
+        None => {
+            let scene = import_all(&work, inputs, options, progress)?;
+            work.save("import", &keys.import, &scene.encode())?;
+            scene
+        }
+    };
+    clock.seconds.import = clock.lap();
     let names: Vec<String> = inputs.iter().map(|input| input.display().to_string()).collect();
-    let import_s = start.elapsed().as_secs_f64();
-    let mut summary = bake_source(&source, &names.join(", "), output, options, progress)?;
-    summary.seconds.import = import_s;
-    Ok(summary)
+    let job = Job { name: names.join(", "), output, options, keys, progress };
+    job.run(work, scene, clock)
 }
 
-/// Bakes a scene that is in memory; `name` stands for it in messages.
-pub fn bake_source(
-    source: &Source,
+/// Bakes a scene that is handed over piece by piece; `name` stands for it in messages. `fill` is
+/// given the sink and returns what refers to its meshes and textures.
+pub fn bake_scene(
+    fill: impl FnOnce(&mut dyn Sink) -> std::io::Result<Imported>,
     name: &str,
     output: &Path,
     options: &Options,
     progress: &dyn Progress,
 ) -> Result<Summary, BakeError> {
     options.check()?;
-    let pool = rayon::ThreadPoolBuilder::new()
-        .num_threads(options.jobs)
-        .build()
-        .map_err(|source| BakeError::Threads { jobs: options.jobs, source })?;
-    pool.install(|| run(source, name, output, options, progress))
+    let mut clock = Clock::start();
+    let work = Work::open(output)?;
+    let mut spool = Spool::create(&work)?;
+    let imported = fill(&mut spool).map_err(|e| WorkError::io(output, e))?;
+    let scene = spool.finish(imported)?;
+    clock.seconds.import = clock.lap();
+    let keys = Keys::of_content(keys::unknown(), options);
+    let job = Job { name: name.to_owned(), output, options, keys, progress };
+    job.run(work, scene, clock)
 }
 
-/// Appends another source's meshes and objects. The first one's up direction holds.
-fn join(whole: &mut Source, mut part: Source) {
-    if whole.meshes.is_empty() {
-        whole.up = part.up;
-    }
-    let base = whole.meshes.len();
-    part.objects.iter_mut().for_each(|object| object.mesh += base);
-    whole.meshes.append(&mut part.meshes);
-    whole.objects.append(&mut part.objects);
-    whole.notes.append(&mut part.notes);
-}
-
-fn run(
-    source: &Source,
-    name: &str,
-    output: &Path,
+/// Reads all sources into the working folder.
+fn import_all(
+    work: &Work,
+    inputs: &[PathBuf],
     options: &Options,
     progress: &dyn Progress,
-) -> Result<Summary, BakeError> {
-    let mut seconds = StageSeconds::default();
-    let mut clock = Instant::now();
-    let mut lap = || std::mem::replace(&mut clock, Instant::now()).elapsed().as_secs_f64();
-
-    progress.stage("partition", source.meshes.len() as u64);
-    let plan = plan(source, options, || progress.advance(1));
-    if plan.leaves.is_empty() {
-        let notes: Vec<&str> = source.notes.iter().chain(&plan.notes).map(String::as_str).collect();
-        let because =
-            if notes.is_empty() { String::new() } else { format!(" ({})", notes.join("; ")) };
-        return Err(BakeError::Empty { inputs: name.to_owned(), because });
-    }
-    seconds.partition = lap();
-
-    progress.stage("hierarchy", 1);
-    let boxes: Vec<_> = plan.leaves.iter().map(|leaf| leaf.bounds).collect();
-    let piece_triangles = |leaf: &Leaf| plan.pieces[leaf.piece as usize].triangles() as u32;
-    let triangles: Vec<u32> = plan.leaves.iter().map(piece_triangles).collect();
-    let tree = hierarchy::build(&boxes, &triangles, options.branching);
-    seconds.hierarchy = lap();
-
-    let mut output = Output::create(output, tree.nodes.len())?;
-    progress.stage("levels", tree.nodes.len() as u64);
-    let shared = write_shared(source, &plan, options, &mut output)?;
-    seconds.lods = lap() - output.seconds;
-    let writing_before = output.seconds;
-    let builder = Builder {
-        source,
-        plan: &plan,
-        tree: &tree,
-        shared: &shared,
-        options,
-        leaf_ns: AtomicU64::new(0),
-        inner_ns: AtomicU64::new(0),
-    };
-    build_tree(&builder, &mut output, progress)?;
-    let building = lap() - (output.seconds - writing_before);
-    let leaf_ns = builder.leaf_ns.into_inner() as f64;
-    let inner_ns = builder.inner_ns.into_inner() as f64;
-    let leaf_share = leaf_ns / (leaf_ns + inner_ns).max(1.0);
-    seconds.lods += building * leaf_share;
-    seconds.hlods = building * (1.0 - leaf_share);
-
-    progress.stage("write", 1);
-    let mut summary = output.finish(source, &plan, &tree, options)?;
-    progress.finish();
-    seconds.write = summary.seconds.write + lap();
-    summary.seconds = seconds;
-    summary.peak_memory_bytes = peak_memory_bytes();
-    Ok(summary)
-}
-
-/// Makes and writes the levels of every shared piece, in order.
-fn write_shared(
-    source: &Source,
-    plan: &Plan,
-    options: &Options,
-    output: &mut Output,
-) -> Result<Vec<Vec<WrittenLevel>>, WriteError> {
-    let mut shared = Vec::with_capacity(plan.pieces.len());
-    for batch in plan.pieces.chunks(BATCH_PIECES) {
-        let made: Vec<PieceLevels> = batch
-            .par_iter()
-            .map(|piece| match piece.is_shared() {
-                true => piece_levels(piece, &piece.gather(source), options),
-                false => Vec::new(),
-            })
-            .collect();
-        let start = Instant::now();
-        for levels in made {
-            let mut written = Vec::with_capacity(levels.len());
-            for (error, packed) in levels {
-                let blob = output.write_mesh(&packed)?;
-                written.push(WrittenLevel { error, blob, triangles: packed.triangles() });
-            }
-            shared.push(written);
-        }
-        output.seconds += start.elapsed().as_secs_f64();
-    }
-    Ok(shared)
-}
-
-/// Builds and writes the whole tree: first the subtrees small enough to be held, a few at a time, in
-/// tree order, then what lies above them, from the bottom.
-fn build_tree(
-    builder: &Builder<'_>,
-    output: &mut Output,
-    progress: &dyn Progress,
-) -> Result<(), WriteError> {
-    let tree = builder.tree;
-    let triangles = source_triangles(builder.plan, tree);
-    let is_block = |node: u32| {
-        let node = node as usize;
-        triangles[node] <= BLOCK_TRIANGLES || tree.nodes[node].item.is_some()
-    };
-    let all = 0..tree.nodes.len() as u32;
-    let above_is_block = |node: u32| tree.nodes[node as usize].parent.is_some_and(is_block);
-    let blocks: Vec<u32> = all.clone().filter(|&n| is_block(n) && !above_is_block(n)).collect();
-    let mut tops: Vec<Option<Top>> = Vec::new();
-    tops.resize_with(tree.nodes.len(), || None);
-    for few in blocks.chunks(2 * rayon::current_num_threads()) {
-        let subtrees: Vec<Subtree> = few.par_iter().map(|&node| builder.subtree(node)).collect();
-        for (&node, subtree) in few.iter().zip(subtrees) {
-            progress.advance(subtree.below.len() as u64 + 1);
-            subtree.below.into_iter().try_for_each(|built| output.write(built))?;
-            tops[node as usize] = Some(subtree.top);
-        }
-    }
-    // A child's id is greater than its parent's, so this goes upwards.
-    for node in all.rev().filter(|&n| !is_block(n)) {
-        let children = tree.children(node).map(|child| tops[child as usize].take());
-        let mut children: Vec<Top> =
-            children.map(|top| top.expect("children come before")).collect();
-        tops[node as usize] = Some(builder.inner(node, &mut children));
-        children.into_iter().try_for_each(|child| output.write(child.built))?;
+) -> Result<Scene, BakeError> {
+    let mut spool = Spool::create(work)?;
+    let mut whole: Option<Imported> = None;
+    let limits = ImportLimits { texture_side: options.texture_side };
+    for input in inputs {
+        let (meshes, textures) = spool.counts();
+        let part = import(input, &limits, &mut spool)?;
+        join(&mut whole, part, meshes, textures);
         progress.advance(1);
     }
-    let root = tops[0].take().expect("the root was built last");
-    output.write(root.built)
+    Ok(spool.finish(whole.unwrap_or_default())?)
 }
 
-/// Source triangles below each node.
-fn source_triangles(plan: &Plan, tree: &Tree) -> Vec<u64> {
-    let mut triangles = vec![0; tree.nodes.len()];
-    for (id, node) in tree.nodes.iter().enumerate().rev() {
-        if let Some(item) = node.item {
-            triangles[id] = plan.pieces[plan.leaves[item as usize].piece as usize].triangles();
-        }
-        if let Some(parent) = node.parent {
-            triangles[parent as usize] += triangles[id];
+/// Appends another file's objects and surfaces, whose meshes and textures are numbered from
+/// `meshes` and `textures` on. The first file's up direction holds.
+fn join(whole: &mut Option<Imported>, mut part: Imported, meshes: usize, textures: usize) {
+    part.objects.iter_mut().for_each(|object| object.mesh += meshes);
+    let moved = |texture: u32| texture + textures as u32;
+    part.surfaces.iter_mut().for_each(|surface| surface.texture = surface.texture.map(moved));
+    match whole {
+        None => *whole = Some(part),
+        Some(whole) => {
+            whole.objects.append(&mut part.objects);
+            whole.surfaces.append(&mut part.surfaces);
+            whole.notes.append(&mut part.notes);
         }
     }
-    triangles
+}
+
+/// What a stage left, if it can be used.
+fn loaded<T>(
+    work: &Work,
+    stage: &str,
+    key: &crate::work::Key,
+    decode: impl Fn(&[u8]) -> Result<T, crate::bytes::Torn>,
+) -> Option<T> {
+    decode(&work.load(stage, key)?).ok()
+}
+
+/// Whether a file is there and has at least so many bytes.
+fn is_as_long(file: Result<Records, WorkError>, bytes: u64) -> bool {
+    file.is_ok_and(|file| file.length() >= bytes)
+}
+
+/// Wall-clock time by stage.
+struct Clock {
+    at: Instant,
+    seconds: StageSeconds,
+}
+
+impl Clock {
+    fn start() -> Self {
+        Self { at: Instant::now(), seconds: StageSeconds::default() }
+    }
+
+    /// Seconds since the last call.
+    fn lap(&mut self) -> f64 {
+        std::mem::replace(&mut self.at, Instant::now()).elapsed().as_secs_f64()
+    }
+}
+
+/// One bake, its sources imported.
+struct Job<'a> {
+    name: String,
+    output: &'a Path,
+    options: &'a Options,
+    keys: Keys,
+    progress: &'a dyn Progress,
+}
+
+impl Job<'_> {
+    fn run(self, work: Work, scene: Scene, clock: Clock) -> Result<Summary, BakeError> {
+        let jobs = self.options.jobs;
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(jobs).build();
+        let pool = pool.map_err(|source| BakeError::Threads { jobs, source })?;
+        pool.install(|| self.stages(work, scene, clock))
+    }
+
+    fn stages(&self, work: Work, scene: Scene, mut clock: Clock) -> Result<Summary, BakeError> {
+        let pieces = self.pieces(&work, &scene)?;
+        clock.seconds.partition = clock.lap();
+        self.progress.stage("hierarchy", 1);
+        let plan = Plan::new(&scene, &pieces, self.options);
+        clock.seconds.hierarchy = clock.lap();
+        let nodes = plan.tree.nodes.len();
+        let (mut output, notes) = Output::begin(&work, self.output, &self.keys.scene, nodes)?;
+        let tally = self.build(&work, &scene, &pieces, &plan, &mut output, notes)?;
+        let building = clock.lap() - output.seconds;
+        let (leaf_ns, inner_ns) = (tally.leaf_ns.load(ORDER), tally.inner_ns.load(ORDER));
+        let leaf_share = leaf_ns as f64 / (leaf_ns + inner_ns).max(1) as f64;
+        clock.seconds.lods = building * leaf_share;
+        clock.seconds.hlods = building * (1.0 - leaf_share);
+
+        self.progress.stage("write", 1);
+        if !scene.textures.is_empty() {
+            let source = Scene::open(&work)?;
+            for (index, texture) in scene.textures.iter().enumerate() {
+                let rgba = scene.texture(&source, index)?;
+                output.write_texture(texture.side, texture.wrap.map(format_wrap), &rgba)?;
+            }
+        }
+        let info = self.info(&scene, &pieces, &plan);
+        let (seconds, written_triangles) = (output.seconds, output.written_triangles);
+        let written = output.finish(info, &plan)?;
+        work.remove()?;
+        self.progress.finish();
+        clock.seconds.write = seconds + clock.lap();
+        let made = summary::Made { scene: &scene, pieces: &pieces, plan: &plan, tally: &tally };
+        Ok(summary::of_bake(&made, written, written_triangles, clock.seconds, &info))
+    }
+
+    /// The pieces of all meshes, from the working folder or made now.
+    fn pieces(&self, work: &Work, scene: &Scene) -> Result<Pieces, BakeError> {
+        let decode = |bytes: &[u8]| Pieces::decode(bytes);
+        let kept = loaded(work, "partition", &self.keys.pieces, decode)
+            .filter(|pieces| is_as_long(Pieces::open(work), pieces.file_bytes()));
+        let pieces = match kept {
+            Some(pieces) => pieces,
+            None => {
+                let allowed = self.options.memory;
+                let needs = |bytes: u64| bytes.saturating_mul(SLICING_FACTOR);
+                if let Some(mesh) = scene.meshes.iter().find(|m| needs(m.bytes()) > allowed) {
+                    let (mesh, needed) = (mesh.name.clone(), needs(mesh.bytes()));
+                    return Err(BakeError::Memory { mesh, needed, allowed });
+                }
+                self.progress.stage("partition", scene.meshes.len() as u64);
+                let budget = allowed / SLICING_FACTOR;
+                let advance = || self.progress.advance(1);
+                let pieces = Pieces::make(work, scene, self.options, budget, advance)?;
+                work.save("partition", &self.keys.pieces, &pieces.encode())?;
+                pieces
+            }
+        };
+        if scene.textures.is_empty() {
+            Scene::forget(work);
+        }
+        if pieces.infos.is_empty() {
+            let notes: Vec<&str> =
+                scene.notes.iter().chain(&pieces.notes).map(String::as_str).collect();
+            let because =
+                if notes.is_empty() { String::new() } else { format!(" ({})", notes.join("; ")) };
+            return Err(BakeError::Empty { inputs: self.name.clone(), because });
+        }
+        Ok(pieces)
+    }
+
+    /// Builds and writes the whole tree: subtrees small enough to be held, a few at a time, in tree
+    /// order, and what lies above them as soon as all below is there.
+    fn build(
+        &self,
+        work: &Work,
+        scene: &Scene,
+        pieces: &Pieces,
+        plan: &Plan,
+        output: &mut Output,
+        notes: Vec<Vec<u8>>,
+    ) -> Result<Tally, BakeError> {
+        self.progress.stage("levels", plan.tree.nodes.len() as u64);
+        let piece_file = Pieces::open(work)?;
+        let single_sided = scene.single_sided();
+        let mut notes = notes.into_iter();
+        let table = match notes.next() {
+            Some(table) => table,
+            None => {
+                let setting =
+                    Setting { options: self.options, depth: u8::MAX, single_sided: &single_sided };
+                self.write_shared(work, scene, pieces, &piece_file, setting, output)?
+            }
+        };
+        let shared = SharedLevels::open(work, &table, pieces, &piece_file)?;
+        let builder = Builder {
+            scene,
+            pieces,
+            piece_file: &piece_file,
+            plan,
+            shared: &shared,
+            single_sided: &single_sided,
+            options: self.options,
+            tally: Tally::default(),
+        };
+        let mut climb = Climb { builder: &builder, tops: Vec::new() };
+        climb.tops.resize_with(plan.tree.nodes.len(), || None);
+        let blocks = self.blocks(pieces, plan);
+        let done = notes.len().min(blocks.len());
+        for note in notes {
+            climb.recall(&note).map_err(|torn| WorkError::io(self.output, torn.into()))?;
+        }
+        for few in blocks[done..].chunks(2 * rayon::current_num_threads()) {
+            let subtrees: Vec<Subtree> =
+                few.par_iter().map(|&node| builder.subtree(node)).collect::<Result<_, _>>()?;
+            for (&node, subtree) in few.iter().zip(subtrees) {
+                self.progress.advance(subtree.below.len() as u64 + 1);
+                subtree.below.into_iter().try_for_each(|built| output.write(built))?;
+                let top = climb.up(node, subtree.top, output)?;
+                output.checkpoint(&top)?;
+            }
+        }
+        let root = climb.tops[0].take().expect("the root was built last");
+        output.write(root.built)?;
+        Ok(builder.tally)
+    }
+
+    /// Subtrees to build as a whole, in tree order.
+    fn blocks(&self, pieces: &Pieces, plan: &Plan) -> Vec<u32> {
+        let in_flight = 2 * rayon::current_num_threads() as u64;
+        let most = self.options.memory / (in_flight * BLOCK_BYTES);
+        let most = most.clamp(1, MOST_BLOCK_TRIANGLES);
+        let triangles = plan.source_triangles(pieces);
+        let nodes = &plan.tree.nodes;
+        let is_block = |node: u32| {
+            triangles[node as usize] <= most || nodes[node as usize].item.is_some()
+        };
+        let is_below_block = |node: u32| nodes[node as usize].parent.is_some_and(is_block);
+        let mut blocks: Vec<u32> = Vec::new();
+        // In the order of a walk that visits children before what comes after their parent.
+        let mut open = vec![0u32];
+        while let Some(node) = open.pop() {
+            if is_block(node) {
+                debug_assert!(!is_below_block(node));
+                blocks.push(node);
+            } else {
+                open.extend(plan.tree.children(node).rev());
+            }
+        }
+        blocks
+    }
+
+    /// Makes and writes the levels of every shared piece, in order.
+    fn write_shared(
+        &self,
+        work: &Work,
+        scene: &Scene,
+        pieces: &Pieces,
+        piece_file: &Records,
+        setting: Setting<'_>,
+        output: &mut Output,
+    ) -> Result<Vec<u8>, BakeError> {
+        let mut writer = SharedWriter::create(work)?;
+        let all: Vec<usize> = (0..pieces.infos.len()).collect();
+        for batch in all.chunks(BATCH_PIECES) {
+            let make = |&index: &usize| match pieces.infos[index].is_shared {
+                true => {
+                    let piece = pieces.read(piece_file, index)?;
+                    Ok(shared::make(&piece, setting, &scene.surfaces))
+                }
+                false => Ok(Vec::new()),
+            };
+            let made: Vec<Vec<MadeLevel>> =
+                batch.par_iter().map(make).collect::<Result<_, WorkError>>()?;
+            for levels in made {
+                writer.add(levels, |mesh: &Packed| output.write_mesh(mesh))?;
+            }
+        }
+        let table = writer.finish()?;
+        output.checkpoint(&table)?;
+        Ok(table)
+    }
+
+    fn info(&self, scene: &Scene, pieces: &Pieces, plan: &Plan) -> SceneInfo {
+        SceneInfo {
+            up: scene.up,
+            source_triangles: plan.source_triangles(pieces)[0],
+            unique_triangles: pieces.infos.iter().map(|piece| piece.source_triangles).sum(),
+            objects: scene.objects.len() as u32,
+            reserved: 0,
+            seed: self.options.seed,
+            reserved2: 0,
+            key: self.keys.scene,
+            tree: stored(&plan.criteria),
+            plain: stored(&plan.plain_criteria),
+        }
+    }
+}
+
+const ORDER: std::sync::atomic::Ordering = std::sync::atomic::Ordering::Relaxed;
+
+fn stored(criteria: &Criteria) -> format::Criteria {
+    format::Criteria {
+        leaves: criteria.leaves,
+        depth_max: criteria.depth_max,
+        reserved: 0,
+        depth_mean: criteria.depth_mean,
+        ideal_depth: criteria.ideal_depth,
+        overlap: criteria.overlap,
+        localisation: criteria.localisation,
+        size_p10: criteria.size_p10,
+        size_p50: criteria.size_p50,
+        size_p90: criteria.size_p90,
+        reserved2: 0,
+    }
+}
+
+fn format_wrap(wrap: Wrap) -> format::Wrap {
+    match wrap {
+        Wrap::Repeat => format::Wrap::Repeat,
+        Wrap::Clamp => format::Wrap::Clamp,
+        Wrap::Mirror => format::Wrap::Mirror,
+    }
+}
+
+/// Subtrees that wait for their siblings.
+struct Climb<'a> {
+    builder: &'a Builder<'a>,
+    tops: Vec<Option<Top>>,
+}
+
+impl Climb<'_> {
+    /// Takes a finished subtree and builds what stands above it as far as everything below is there.
+    /// Returns a note of the highest hlod that came of it.
+    fn up(&mut self, node: u32, top: Top, output: &mut Output) -> Result<Vec<u8>, BakeError> {
+        let tree = &self.builder.plan.tree;
+        let mut node = node;
+        self.tops[node as usize] = Some(top);
+        while let Some(parent) = tree.nodes[node as usize].parent {
+            let children = tree.children(parent);
+            if !children.clone().all(|child| self.tops[child as usize].is_some()) {
+                break;
+            }
+            let mut below: Vec<Top> =
+                children.filter_map(|child| self.tops[child as usize].take()).collect();
+            self.tops[parent as usize] = Some(self.builder.inner(parent, &mut below)?);
+            below.into_iter().try_for_each(|child| output.write(child.built))?;
+            node = parent;
+        }
+        let mut note = Encoder::default();
+        self.tops[node as usize].as_ref().expect("it was just put there").encode(&mut note);
+        Ok(note.0)
+    }
+
+    /// Takes back what [`Climb::up`] noted.
+    fn recall(&mut self, note: &[u8]) -> Result<(), crate::bytes::Torn> {
+        let mut from = Decoder(note);
+        let top = Top::decode(&mut from)?;
+        from.end()?;
+        let node = top.built.node;
+        if node as usize >= self.tops.len() {
+            return Err(crate::bytes::Torn);
+        }
+        // What stood below was taken up into it.
+        let mut below: Vec<u32> = self.builder.plan.tree.children(node).collect();
+        while let Some(child) = below.pop() {
+            if self.tops[child as usize].take().is_none() {
+                below.extend(self.builder.plan.tree.children(child));
+            }
+        }
+        self.tops[node as usize] = Some(top);
+        Ok(())
+    }
 }
 
 #[cfg(test)]
