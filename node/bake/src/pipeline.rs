@@ -1,7 +1,7 @@
 //! The whole bake: sources in, one scene file out.
 
 use crate::hlod::{Builder, PieceLevels, Subtree, Top, WrittenLevel, piece_levels};
-use crate::import::{ImportError, ImportErrorKind, import};
+use crate::import::{ImportError, ImportErrorKind, import_all};
 use crate::options::{Options, OptionsError};
 use crate::output::Output;
 use crate::pieces::{Plan, plan};
@@ -85,7 +85,7 @@ pub fn bake(
     progress.stage("import", inputs.len() as u64);
     let mut source = Source::default();
     for input in inputs {
-        join(&mut source, import(input)?);
+        join(&mut source, import_all(input)?);
         progress.advance(1);
     }
     let names: Vec<String> = inputs.iter().map(|input| input.display().to_string()).collect();

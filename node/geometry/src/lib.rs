@@ -1,6 +1,7 @@
 //! Pure geometric kernels, one algorithm a file: slices and numbers in, slices and numbers out.
 
 pub mod bounds;
+pub mod codec;
 pub mod deviation;
 pub mod frustum;
 pub mod hierarchy;
