@@ -52,7 +52,7 @@ pub enum Alpha {
 }
 
 /// How texture coordinates go on outside a picture.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Wrap {
     /// Again from the other side.
     Repeat,
@@ -131,11 +131,23 @@ pub trait Sink {
     fn texture(&mut self, texture: Texture) -> std::io::Result<()>;
 }
 
+/// What an import leaves to say once its meshes and textures are with the [`Sink`].
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Imported {
+    /// Objects, in the order of a depth-first walk over the file's nodes.
+    pub objects: Vec<SourceObject>,
+    /// Distinct surfaces. The first is [`Surface::PLAIN`].
+    pub surfaces: Vec<Surface>,
+    /// The up direction of the scene's axes, unit length.
+    pub up: [f64; 3],
+    /// What was skipped or simplified, one sentence each, for the summary.
+    pub notes: Vec<String>,
+}
+
 /// A whole source scene.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Source {
-    /// Distinct meshes, each used by at least one object: in the file's order, then those an
-    /// importer had to make for single objects.
+    /// Distinct meshes: in the file's order, then those an importer had to make for single objects.
     pub meshes: Vec<SourceMesh>,
     /// Objects, in the order of a depth-first walk over the file's nodes.
     pub objects: Vec<SourceObject>,
@@ -150,6 +162,12 @@ pub struct Source {
 }
 
 impl Source {
+    /// Adds what an import says last to a scene that already holds its meshes and textures.
+    pub(crate) fn complete(&mut self, imported: Imported) {
+        let Imported { objects, surfaces, up, notes } = imported;
+        *self = Self { objects, surfaces, up, notes, ..std::mem::take(self) };
+    }
+
     /// Triangles the file shows: each instance counted, degenerate ones too.
     pub fn triangles(&self) -> u64 {
         self.objects.iter().map(|object| self.meshes[object.mesh].triangles()).sum()

@@ -4,6 +4,7 @@ mod bottom_up;
 pub mod bounds;
 pub mod cluster;
 pub mod criteria;
+pub mod codec;
 pub mod deviation;
 mod divide;
 pub mod frustum;

@@ -1,7 +1,7 @@
 //! What can go wrong while a source scene is read, said so that a person can act on it.
 
 use std::io;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// What sort of fault an [`ImportError`] is; a verb turns it into an exit code.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -43,7 +43,7 @@ pub enum ImportError {
         source: io::Error,
     },
     /// The file is in no format this importer knows.
-    #[error("{}: {what}; give a glTF 2.0 scene, .glb or .gltf", file.display())]
+    #[error("{}: {what}; give a scene as glTF 2.0 (.glb, .gltf), OBJ (.obj), PLY (.ply) or STL (.stl)", file.display())]
     UnknownFormat {
         /// The scene file.
         file: PathBuf,
@@ -67,12 +67,14 @@ pub enum ImportError {
         source: serde_json::Error,
     },
     /// The scene says that it cannot be understood without extensions that are not supported.
-    #[error("{}: requires the unsupported extension {names}; export without it (supported: {supported})", file.display())]
+    #[error("{}: requires the unsupported extension {names}; {fix} (supported: {supported})", file.display())]
     RequiredExtension {
         /// The scene file.
         file: PathBuf,
         /// The unsupported extensions, comma separated.
         names: String,
+        /// How to be rid of the first of them.
+        fix: &'static str,
         /// What would have been accepted, comma separated.
         supported: String,
     },
@@ -100,6 +102,14 @@ pub enum ImportError {
         /// What to do about it.
         fix: &'static str,
     },
+    /// What was read could not be handed on.
+    #[error("{}: what was read of it cannot be stored; check the space and the rights where the result is written", file.display())]
+    Sink {
+        /// The scene file.
+        file: PathBuf,
+        /// What the receiver said.
+        source: io::Error,
+    },
     /// The scene is well formed and shows not one triangle.
     #[error("{}: the scene shows no triangles{}; check that the meshes were exported and stand in the default scene", file.display(), explain(notes))]
     Empty {
@@ -111,11 +121,19 @@ pub enum ImportError {
 }
 
 impl ImportError {
+    /// The scene file itself is missing or cannot be read.
+    pub(super) fn unreadable(file: &Path, source: io::Error) -> Self {
+        match source.kind() {
+            io::ErrorKind::NotFound => Self::NotFound { file: file.into() },
+            _ => Self::Read { file: file.into(), source },
+        }
+    }
+
     /// What sort of fault this is.
     pub fn kind(&self) -> ImportErrorKind {
         match self {
             Self::NotFound { .. } | Self::MissingResource { .. } => ImportErrorKind::NotFound,
-            Self::Read { .. } => ImportErrorKind::Io,
+            Self::Read { .. } | Self::Sink { .. } => ImportErrorKind::Io,
             _ => ImportErrorKind::BadData,
         }
     }

@@ -3,6 +3,7 @@
 use std::path::{Component, Path, PathBuf};
 
 use super::error::ImportError;
+use super::store::Store;
 
 /// Where a scene file stands, and so what its relative URIs mean.
 pub(super) struct Folder<'a> {
@@ -26,6 +27,15 @@ impl Folder<'_> {
         }
         let path = self.locate(at, uri)?;
         std::fs::read(&path).map_err(|source| ImportError::Read { file: path, source })
+    }
+
+    /// The same bytes, not yet in memory unless they stand in the URI.
+    pub(super) fn open(&self, at: &str, uri: &str) -> Result<Store, ImportError> {
+        if uri.starts_with("data:") {
+            return self.read(at, uri).map(Store::memory);
+        }
+        let path = self.locate(at, uri)?;
+        Store::open(&path).map_err(|source| ImportError::Read { file: path, source })
     }
 
     fn locate(&self, at: &str, uri: &str) -> Result<PathBuf, ImportError> {

@@ -2,13 +2,14 @@
 
 use glam::{DAffine3, DMat3, DQuat, DVec3};
 
+use super::accessor::{Accessor, Elements, Role};
 use super::buffers::Resources;
-use super::document::{Node, label};
-use super::error::ImportError;
+use super::document::{Instancing, Node, label};
+use crate::import::error::ImportError;
 
-/// A node that shows a mesh, with its transform accumulated from the root.
+/// A mesh shown by a node or one of its instances, with its transform accumulated from the root.
 pub(super) struct Placement {
-    /// The node's name, or "node" and its number.
+    /// The node's name, or "node" and its number; with the instance's place in brackets.
     pub(super) name: String,
     /// Which mesh of the document.
     pub(super) mesh: usize,
@@ -74,8 +75,25 @@ pub(super) fn placements(resources: &Resources<'_>) -> Result<Vec<Placement>, Im
                     resources.broken(&name(number), format!("it shows mesh {mesh} of {meshes}"))
                 );
             }
-            let name = node.name.clone().unwrap_or_else(|| format!("node {number}"));
-            placements.push(Placement { name, mesh, world_from_mesh: world_from_node });
+            let own = node.name.clone().unwrap_or_else(|| format!("node {number}"));
+            let Some(instancing) = &node.extensions.instancing else {
+                placements.push(Placement { name: own, mesh, world_from_mesh: world_from_node });
+                continue;
+            };
+            for (place, node_from_mesh) in
+                instances(resources, &name(number), instancing)?.into_iter().enumerate()
+            {
+                let world_from_mesh = world_from_node * node_from_mesh;
+                if !world_from_mesh.is_finite() {
+                    let what = format!("the transform of its instance {place} is not finite");
+                    return Err(resources.broken(&name(number), what));
+                }
+                placements.push(Placement {
+                    name: format!("{own}[{place}]"),
+                    mesh,
+                    world_from_mesh,
+                });
+            }
         }
     }
     Ok(placements)
@@ -107,6 +125,56 @@ fn roots(resources: &Resources<'_>, parents: &[Option<usize>]) -> Result<Vec<usi
     Ok(scene.nodes.clone())
 }
 
+/// Where a node shows its mesh, relative to itself (EXT_mesh_gpu_instancing).
+fn instances(
+    resources: &Resources<'_>,
+    at: &str,
+    instancing: &Instancing,
+) -> Result<Vec<DAffine3>, ImportError> {
+    let load = |attribute: &str, role| {
+        let Some(&accessor) = instancing.attributes.get(attribute) else { return Ok(None) };
+        let user = format!("{at}, instances, {attribute}");
+        Accessor::open(resources, &user, accessor, role)?.load_all(resources).map(Some)
+    };
+    let translations = load("TRANSLATION", Role::Vector)?;
+    let rotations = load("ROTATION", Role::Rotation)?;
+    let scales = load("SCALE", Role::Vector)?;
+    let mut counts = [&translations, &rotations, &scales].into_iter().flatten().map(Elements::len);
+    let Some(count) = counts.next() else {
+        // Attributes of other meanings alone say how many there are, but all stand in one place.
+        return Ok(vec![DAffine3::IDENTITY]);
+    };
+    if let Some(other) = counts.find(|&other| other != count) {
+        let what = format!("its instances have {count} of one attribute and {other} of another");
+        return Err(resources.broken(at, what));
+    }
+    let vector = |all: &Option<Elements>, i: usize, default: f64| {
+        all.as_ref()
+            .map_or(DVec3::splat(default), |all| DVec3::from(all.vector::<3>(i).map(f64::from)))
+    };
+    (0..count)
+        .map(|i| {
+            let rotation = rotations
+                .as_ref()
+                .map_or([0.0, 0.0, 0.0, 1.0], |all| all.vector::<4>(i).map(f64::from));
+            let rotation = unit_rotation(rotation)
+                .map_err(|what| resources.broken(at, format!("instance {i}: {what}")))?;
+            let (scale, translation) = (vector(&scales, i, 1.0), vector(&translations, i, 0.0));
+            Ok(DAffine3::from_scale_rotation_translation(scale, rotation, translation))
+        })
+        .collect()
+}
+
+/// Files store rounded quaternions; one that cannot be brought to unit length is no rotation.
+fn unit_rotation(stored: [f64; 4]) -> Result<DQuat, &'static str> {
+    let rotation = DQuat::from_array(stored);
+    let length = rotation.length();
+    if !(length.is_finite() && length > 0.0) {
+        return Err("its rotation has no length");
+    }
+    Ok(rotation / length)
+}
+
 /// A node's own transform: its matrix, or translation after rotation after scale.
 fn local_transform(node: &Node) -> Result<DAffine3, String> {
     if let Some(m) = node.matrix {
@@ -122,11 +190,6 @@ fn local_transform(node: &Node) -> Result<DAffine3, String> {
     }
     let scale = DVec3::from(node.scale.unwrap_or([1.0; 3]));
     let translation = DVec3::from(node.translation.unwrap_or_default());
-    // Files store rounded quaternions; one that cannot be brought to unit length is no rotation.
-    let rotation = DQuat::from_array(node.rotation.unwrap_or([0.0, 0.0, 0.0, 1.0]));
-    let length = rotation.length();
-    if !(length.is_finite() && length > 0.0) {
-        return Err("its rotation has no length".into());
-    }
-    Ok(DAffine3::from_scale_rotation_translation(scale, rotation / length, translation))
+    let rotation = unit_rotation(node.rotation.unwrap_or([0.0, 0.0, 0.0, 1.0]))?;
+    Ok(DAffine3::from_scale_rotation_translation(scale, rotation, translation))
 }

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use crate::import::import;
+use crate::import::import_all as import;
 
 /// File, triangles with instances, unique triangles if the list of scenes gives them, objects.
 const SCENES: [(&str, u64, Option<u64>, usize); 5] = [

@@ -4,11 +4,14 @@ use std::ops::Range;
 use std::path::Path;
 
 use super::document::{Document, Header};
-use super::error::ImportError;
+use crate::import::error::ImportError;
+use crate::import::store::Store;
 
 const MAGIC: &[u8; 4] = b"glTF";
-const HEADER_BYTES: usize = 12;
-const CHUNK_HEADER_BYTES: usize = 8;
+const HEADER_BYTES: u64 = 12;
+const CHUNK_HEADER_BYTES: u64 = 8;
+/// Bytes at the start of a file that tell what it is.
+const HEAD_BYTES: u64 = 4096;
 const CHUNK_JSON: u32 = 0x4E4F_534A;
 const CHUNK_BIN: u32 = 0x004E_4942;
 
@@ -18,6 +21,9 @@ const SUPPORTED: &[&str] = &[
     "KHR_materials_*",
     "KHR_texture_transform",
     "KHR_mesh_quantization",
+    "EXT_meshopt_compression",
+    "KHR_meshopt_compression",
+    "EXT_mesh_gpu_instancing",
     "KHR_lights_punctual",
     "KHR_xmp_json_ld",
 ];
@@ -25,68 +31,79 @@ const SUPPORTED: &[&str] = &[
 /// Where the parts of a scene file stand in its bytes.
 #[derive(Debug, PartialEq)]
 pub(super) struct Parts {
-    pub(super) json: Range<usize>,
-    pub(super) bin: Option<Range<usize>>,
+    pub(super) json: Range<u64>,
+    pub(super) bin: Option<Range<u64>>,
 }
 
 /// Finds the JSON and the binary chunk in a `.glb` or `.gltf`, told apart by content.
-pub(super) fn split(file: &Path, bytes: &[u8]) -> Result<Parts, ImportError> {
-    if bytes.starts_with(MAGIC) {
-        return split_glb(bytes).map_err(|what| ImportError::Container { file: file.into(), what });
+pub(super) fn split(file: &Path, store: &Store) -> Result<Parts, ImportError> {
+    let unreadable = |source| ImportError::unreadable(file, source);
+    let head = store.read(0, store.length().min(HEAD_BYTES) as usize).map_err(unreadable)?;
+    if head.starts_with(MAGIC) {
+        return match split_glb(store).map_err(unreadable)? {
+            Ok(parts) => Ok(parts),
+            Err(what) => Err(ImportError::Container { file: file.into(), what }),
+        };
     }
-    let text = if bytes.starts_with(b"\xEF\xBB\xBF") { 3 } else { 0 };
-    if bytes[text..].trim_ascii_start().first() == Some(&b'{') {
-        return Ok(Parts { json: text..bytes.len(), bin: None });
+    let text = if head.starts_with(b"\xEF\xBB\xBF") { 3 } else { 0 };
+    if head[text..].trim_ascii_start().first() == Some(&b'{') {
+        return Ok(Parts { json: text as u64..store.length(), bin: None });
     }
-    let what = match bytes.len() {
+    let what = match head.len() {
         0 => "the file is empty".to_owned(),
         _ => format!(
             "this is neither GLB nor glTF JSON (it starts with {:?})",
-            bytes[..bytes.len().min(8)].escape_ascii().to_string()
+            head[..head.len().min(8)].escape_ascii().to_string()
         ),
     };
     Err(ImportError::UnknownFormat { file: file.into(), what })
 }
 
-fn split_glb(bytes: &[u8]) -> Result<Parts, String> {
-    let (Some(version), Some(length)) = (word(bytes, 4), word(bytes, 8)) else {
-        return Err(format!(
-            "its header wants {HEADER_BYTES} bytes and the file has {}",
-            bytes.len()
-        ));
-    };
-    if version != 2 {
-        return Err(format!("container version {version}, only version 2 can be read"));
+/// The inner error says what is wrong with the framing.
+fn split_glb(store: &Store) -> std::io::Result<Result<Parts, String>> {
+    let has = store.length();
+    if has < HEADER_BYTES {
+        return Ok(Err(format!("its header wants {HEADER_BYTES} bytes and the file has {has}")));
     }
-    if length as usize != bytes.len() {
-        return Err(format!("its header claims {length} bytes and the file has {}", bytes.len()));
+    let [version, length] = words(store, 4)?;
+    if version != 2 {
+        return Ok(Err(format!("container version {version}, only version 2 can be read")));
+    }
+    if u64::from(length) != has {
+        return Ok(Err(format!("its header claims {length} bytes and the file has {has}")));
     }
     let mut at = HEADER_BYTES;
     let (mut json, mut bin) = (None, None);
-    while at < bytes.len() {
-        let (Some(size), Some(kind)) = (word(bytes, at), word(bytes, at + 4)) else {
-            return Err(format!("the file ends inside the chunk header at byte {at}"));
-        };
-        let start = at + CHUNK_HEADER_BYTES;
-        let left = bytes.len() - start;
-        if size as usize > left {
-            return Err(format!("the chunk at byte {at} claims {size} bytes and {left} are left"));
+    while at < has {
+        if has - at < CHUNK_HEADER_BYTES {
+            return Ok(Err(format!("the file ends inside the chunk header at byte {at}")));
         }
-        let body = start..start + size as usize;
+        let [size, kind] = words(store, at)?;
+        let start = at + CHUNK_HEADER_BYTES;
+        let left = has - start;
+        if u64::from(size) > left {
+            let what = format!("the chunk at byte {at} claims {size} bytes and {left} are left");
+            return Ok(Err(what));
+        }
+        let body = start..start + u64::from(size);
         at = body.end;
         match kind {
             CHUNK_JSON if json.is_none() => json = Some(body),
             CHUNK_BIN if json.is_some() && bin.is_none() => bin = Some(body),
-            _ if json.is_none() => return Err("its first chunk is not JSON".to_owned()),
+            _ if json.is_none() => return Ok(Err("its first chunk is not JSON".to_owned())),
             // Section 4.4.1: chunks of unknown type are to be ignored.
             _ => {}
         }
     }
-    json.map(|json| Parts { json, bin }).ok_or_else(|| "it has no JSON chunk".to_owned())
+    let parts = json.map(|json| Parts { json, bin });
+    Ok(parts.ok_or_else(|| "it has no JSON chunk".to_owned()))
 }
 
-fn word(bytes: &[u8], at: usize) -> Option<u32> {
-    bytes.get(at..)?.first_chunk::<4>().map(|four| u32::from_le_bytes(*four))
+/// Two little-endian words.
+fn words(store: &Store, at: u64) -> std::io::Result<[u32; 2]> {
+    let bytes = store.read(at, 8)?;
+    let words = bytes.as_chunks::<4>().0;
+    Ok([0, 1].map(|place| u32::from_le_bytes(words[place])))
 }
 
 /// Parses the JSON, once it is known that its version and extensions can be understood.
@@ -115,6 +132,7 @@ pub(super) fn parse(file: &Path, json: &[u8]) -> Result<Document, ImportError> {
     if !unsupported.is_empty() {
         return Err(ImportError::RequiredExtension {
             file: file.into(),
+            fix: without(unsupported[0]),
             names: unsupported.join(", "),
             supported: SUPPORTED.join(", "),
         });
@@ -131,13 +149,33 @@ pub(super) fn is_supported(extension: &str) -> bool {
     })
 }
 
+/// How to be rid of an extension.
+fn without(extension: &str) -> &'static str {
+    match extension {
+        "KHR_draco_mesh_compression" => {
+            "decompress it: npx @gltf-transform/cli copy IN.glb OUT.glb"
+        }
+        "KHR_texture_basisu" => {
+            "convert its textures: npx @gltf-transform/cli ktxdecompress IN.glb OUT.glb"
+        }
+        "EXT_texture_webp" | "EXT_texture_avif" | "MSFT_texture_dds" => {
+            "convert its textures: npx @gltf-transform/cli png IN.glb OUT.glb"
+        }
+        _ => "export without it",
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::import::testing::glb;
+    use crate::import::gltf::testing::glb;
+
+    fn parts(bytes: &[u8]) -> Result<Parts, ImportError> {
+        split(Path::new("a.glb"), &Store::memory(bytes.to_vec()))
+    }
 
     fn split_error(bytes: &[u8]) -> String {
-        split(Path::new("a.glb"), bytes).unwrap_err().to_string()
+        parts(bytes).unwrap_err().to_string()
     }
 
     fn parse_error(json: &str) -> String {
@@ -154,7 +192,7 @@ mod tests {
     #[test]
     fn every_truncation_and_every_false_length_is_refused() {
         let whole = glb("{}", b"12345678");
-        assert!(split(Path::new("a.glb"), &whole).is_ok());
+        assert!(parts(&whole).is_ok());
         for end in 4..whole.len() {
             assert!(split_error(&whole[..end]).contains("broken GLB"), "cut at {end}");
         }
@@ -172,13 +210,8 @@ mod tests {
     #[test]
     fn chunks_are_found() {
         let bytes = glb("{}", b"12345678");
-        let parts = split(Path::new("a.glb"), &bytes).unwrap();
-        assert_eq!(&bytes[parts.json], b"{}  ");
-        assert_eq!(&bytes[parts.bin.unwrap()], b"12345678");
-        assert_eq!(
-            split(Path::new("a.gltf"), b"\xEF\xBB\xBF {}").unwrap(),
-            Parts { json: 3..6, bin: None }
-        );
+        assert_eq!(parts(&bytes).unwrap(), Parts { json: 20..24, bin: Some(32..40) });
+        assert_eq!(parts(b"\xEF\xBB\xBF {}").unwrap(), Parts { json: 3..6, bin: None });
     }
 
     #[test]
@@ -193,9 +226,21 @@ mod tests {
         );
         assert!(
             message.contains("KHR_draco_mesh_compression")
+                && message.contains("cli copy ")
                 && message.contains("KHR_mesh_quantization"),
             "{message}"
         );
+        for (name, command) in [
+            ("KHR_texture_basisu", "cli ktxdecompress "),
+            ("EXT_texture_webp", "cli png "),
+            ("EXT_texture_avif", "cli png "),
+            ("EXT_else", "without it"),
+        ] {
+            let json =
+                format!(r#"{{"asset":{{"version":"2.0"}},"extensionsRequired":["{name}"]}}"#);
+            let message = parse_error(&json);
+            assert!(message.contains(name) && message.contains(command), "{message}");
+        }
         let json = r#"{"asset":{"version":"2.0"},"extensionsRequired":["KHR_materials_unlit","KHR_texture_transform"]}"#;
         assert!(parse(Path::new("a.gltf"), json.as_bytes()).is_ok());
     }

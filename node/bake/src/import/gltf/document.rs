@@ -35,6 +35,7 @@ pub(super) struct Document {
     pub(super) materials: Vec<Material>,
     pub(super) textures: Vec<Texture>,
     pub(super) images: Vec<Image>,
+    pub(super) samplers: Vec<Sampler>,
     pub(super) accessors: Vec<AccessorDef>,
     pub(super) buffer_views: Vec<BufferView>,
     pub(super) buffers: Vec<Buffer>,
@@ -61,6 +62,20 @@ pub(super) struct Node {
     /// Quaternion x, y, z, w.
     pub(super) rotation: Option<[f64; 4]>,
     pub(super) scale: Option<[f64; 3]>,
+    pub(super) extensions: NodeExtensions,
+}
+
+#[derive(Default, Deserialize)]
+#[serde(default)]
+pub(super) struct NodeExtensions {
+    #[serde(rename = "EXT_mesh_gpu_instancing")]
+    pub(super) instancing: Option<Instancing>,
+}
+
+#[derive(Default, Deserialize)]
+#[serde(default)]
+pub(super) struct Instancing {
+    pub(super) attributes: BTreeMap<String, usize>,
 }
 
 #[derive(Deserialize)]
@@ -86,6 +101,8 @@ pub(super) struct Material {
     pub(super) name: Option<String>,
     pub(super) pbr_metallic_roughness: MetallicRoughness,
     pub(super) alpha_mode: Option<String>,
+    pub(super) alpha_cutoff: Option<f32>,
+    pub(super) double_sided: bool,
     pub(super) extensions: MaterialExtensions,
 }
 
@@ -111,13 +128,43 @@ pub(super) struct SpecularGlossiness {
 }
 
 #[derive(Clone, Copy, Deserialize)]
+#[serde(rename_all = "camelCase")]
 pub(super) struct TextureRef {
     pub(super) index: usize,
+    #[serde(default)]
+    pub(super) tex_coord: usize,
+    #[serde(default)]
+    pub(super) extensions: TextureRefExtensions,
+}
+
+#[derive(Clone, Copy, Default, Deserialize)]
+#[serde(default)]
+pub(super) struct TextureRefExtensions {
+    #[serde(rename = "KHR_texture_transform")]
+    pub(super) transform: Option<TextureTransform>,
+}
+
+#[derive(Clone, Copy, Default, Deserialize)]
+#[serde(rename_all = "camelCase", default)]
+pub(super) struct TextureTransform {
+    pub(super) offset: Option<[f64; 2]>,
+    /// Radians.
+    pub(super) rotation: f64,
+    pub(super) scale: Option<[f64; 2]>,
+    pub(super) tex_coord: Option<usize>,
 }
 
 #[derive(Deserialize)]
 pub(super) struct Texture {
     pub(super) source: Option<usize>,
+    pub(super) sampler: Option<usize>,
+}
+
+#[derive(Deserialize)]
+#[serde(rename_all = "camelCase")]
+pub(super) struct Sampler {
+    pub(super) wrap_s: Option<u32>,
+    pub(super) wrap_t: Option<u32>,
 }
 
 #[derive(Deserialize)]
@@ -176,6 +223,37 @@ pub(super) struct BufferView {
     pub(super) byte_offset: usize,
     pub(super) byte_length: usize,
     pub(super) byte_stride: Option<usize>,
+    #[serde(default)]
+    pub(super) extensions: ViewExtensions,
+}
+
+#[derive(Default, Deserialize)]
+#[serde(default)]
+pub(super) struct ViewExtensions {
+    #[serde(rename = "EXT_meshopt_compression")]
+    ext_meshopt: Option<Compression>,
+    #[serde(rename = "KHR_meshopt_compression")]
+    khr_meshopt: Option<Compression>,
+}
+
+impl ViewExtensions {
+    /// How the view is compressed, if it is.
+    pub(super) fn compression(&self) -> Option<&Compression> {
+        self.khr_meshopt.as_ref().or(self.ext_meshopt.as_ref())
+    }
+}
+
+#[derive(Deserialize)]
+#[serde(rename_all = "camelCase")]
+pub(super) struct Compression {
+    pub(super) buffer: usize,
+    #[serde(default)]
+    pub(super) byte_offset: usize,
+    pub(super) byte_length: usize,
+    pub(super) byte_stride: usize,
+    pub(super) count: usize,
+    pub(super) mode: String,
+    pub(super) filter: Option<String>,
 }
 
 #[derive(Deserialize)]
@@ -183,6 +261,30 @@ pub(super) struct BufferView {
 pub(super) struct Buffer {
     pub(super) uri: Option<String>,
     pub(super) byte_length: usize,
+    #[serde(default)]
+    pub(super) extensions: BufferExtensions,
+}
+
+#[derive(Default, Deserialize)]
+#[serde(default)]
+pub(super) struct BufferExtensions {
+    #[serde(rename = "EXT_meshopt_compression")]
+    ext_meshopt: Option<Fallback>,
+    #[serde(rename = "KHR_meshopt_compression")]
+    khr_meshopt: Option<Fallback>,
+}
+
+#[derive(Default, Deserialize)]
+#[serde(default)]
+struct Fallback {
+    fallback: bool,
+}
+
+impl BufferExtensions {
+    /// Whether the buffer is for programs that cannot decode its views, and may have no bytes.
+    pub(super) fn is_fallback(&self) -> bool {
+        [&self.ext_meshopt, &self.khr_meshopt].into_iter().flatten().any(|meshopt| meshopt.fallback)
+    }
 }
 
 /// `kind number "name"`, as messages call an object of the file.

@@ -1,11 +1,13 @@
 //! Typed, bounds-checked reading of accessors (glTF 2.0, section 3.6.2).
 //!
-//! An [`Accessor`] is checked once, against the bytes, when it is opened; after that every element
-//! below `count` can be read where it stands. Nothing is copied except a sparse index list.
+//! An [`Accessor`] is checked once, against the bytes there are, when it is opened; after that any
+//! range of its elements can be loaded.
 
-use super::buffers::{Resources, range};
+use std::ops::Range;
+
+use super::buffers::{Resources, Span};
 use super::document::{AccessorDef, SparseDef, label};
-use super::error::ImportError;
+use crate::import::error::ImportError;
 
 /// How one number of an element is stored.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -81,44 +83,72 @@ pub(super) enum Role {
     Normal,
     /// Three or four lanes; integers are always fractions.
     Color,
+    /// Two lanes, any component that KHR_mesh_quantization allows.
+    TexCoord,
+    /// Translation or scale of an instance: three lanes, any component but an index.
+    Vector,
+    /// Rotation of an instance: four lanes; integers are always fractions.
+    Rotation,
 }
 
 impl Role {
     fn fits(self, component: Component, lanes: usize) -> bool {
         match self {
             Self::Indices => lanes == 1 && component.can_index(),
-            Self::Position | Self::Normal => lanes == 3 && component != Component::U32,
-            Self::Color => (lanes == 3 || lanes == 4) && component != Component::U32,
+            _ if component == Component::U32 => false,
+            Self::Position | Self::Normal | Self::Vector => lanes == 3,
+            Self::Color => lanes == 3 || lanes == 4,
+            Self::TexCoord => lanes == 2,
+            Self::Rotation => lanes == 4,
         }
+    }
+
+    /// Whether integers are fractions of their range even where the file does not say so.
+    fn is_always_fraction(self) -> bool {
+        matches!(self, Self::Normal | Self::Color | Self::Rotation)
     }
 }
 
 /// Elements that replace those of the base, by strictly rising index.
-struct Sparse<'a> {
+struct Sparse {
     indices: Vec<u32>,
-    values: &'a [u8],
+    values: Vec<u8>,
 }
 
-/// An accessor whose every element is known to be there.
-pub(super) struct Accessor<'a> {
-    /// `None`: all zero but for the sparse elements.
-    base: Option<&'a [u8]>,
+/// How elements are stored.
+#[derive(Clone, Copy)]
+struct Layout {
     stride: usize,
     element_bytes: usize,
     component: Component,
     lanes: usize,
     normalized: bool,
-    sparse: Option<Sparse<'a>>,
+}
+
+/// An accessor whose every element is known to be there.
+pub(super) struct Accessor {
+    /// From the first element on; `None`: all zero but for the sparse elements.
+    base: Option<Span>,
+    layout: Layout,
+    sparse: Option<Sparse>,
     /// How many elements it has.
     pub(super) count: usize,
 }
 
+/// Some elements of an accessor, in memory. They keep their numbers.
+pub(super) struct Elements {
+    base: Option<Vec<u8>>,
+    layout: Layout,
+    sparse: Option<Sparse>,
+    range: Range<usize>,
+}
+
 const ZERO_ELEMENT: [u8; 16] = [0; 16];
 
-impl<'a> Accessor<'a> {
+impl Accessor {
     /// Opens accessor `number` for `role`; `user` names who refers to it, for messages.
     pub(super) fn open(
-        resources: &'a Resources<'_>,
+        resources: &Resources<'_>,
         user: &str,
         number: usize,
         role: Role,
@@ -146,7 +176,7 @@ impl<'a> Accessor<'a> {
                 return Err(resources.invalid(at, what, "export without mesh compression"));
             }
             // Zeros cost no bytes, so only the size of the file bounds what may be claimed.
-            None if def.count > resources.total_bytes() => {
+            None if def.count as u64 > resources.total_bytes() => {
                 return Err(resources.broken(
                     &at,
                     format!("it claims {} elements and has no buffer view", def.count),
@@ -158,30 +188,55 @@ impl<'a> Accessor<'a> {
             Some(sparse) => Some(open_sparse(resources, &at, sparse, def.count, element_bytes)?),
             None => None,
         };
-        let normalized = def.normalized || matches!(role, Role::Normal | Role::Color);
-        Ok(Self {
-            base,
-            stride,
-            element_bytes,
-            component,
-            lanes,
-            normalized,
-            sparse,
-            count: def.count,
-        })
+        let normalized = def.normalized || role.is_always_fraction();
+        let layout = Layout { stride, element_bytes, component, lanes, normalized };
+        Ok(Self { base, layout, sparse, count: def.count })
+    }
+
+    /// Reads the elements of `range`, which must be below `count`.
+    pub(super) fn load(
+        self,
+        resources: &Resources<'_>,
+        range: Range<usize>,
+    ) -> Result<Elements, ImportError> {
+        debug_assert!(range.end <= self.count);
+        let Self { base, layout, sparse, .. } = self;
+        let base = match base {
+            Some(_) if range.is_empty() => Some(Vec::new()),
+            Some(span) => {
+                let length = (range.len() - 1) * layout.stride + layout.element_bytes;
+                let part = span.part(range.start * layout.stride, length);
+                Some(resources.bytes(part.expect("all elements were found when it was opened"))?)
+            }
+            None => None,
+        };
+        Ok(Elements { base, layout, sparse, range })
+    }
+
+    /// Reads all elements.
+    pub(super) fn load_all(self, resources: &Resources<'_>) -> Result<Elements, ImportError> {
+        let range = 0..self.count;
+        self.load(resources, range)
+    }
+}
+
+impl Elements {
+    /// How many there are.
+    pub(super) fn len(&self) -> usize {
+        self.range.len()
     }
 
     /// Element `i` as an index.
     pub(super) fn index(&self, i: usize) -> u32 {
-        self.component.read_index(self.element(i))
+        self.layout.component.read_index(self.element(i))
     }
 
     /// The first `N` lanes of element `i`; a lane that the type lacks is one, as alpha is.
     pub(super) fn vector<const N: usize>(&self, i: usize) -> [f32; N] {
         let element = self.element(i);
         std::array::from_fn(|lane| {
-            if lane < self.lanes {
-                self.component.read(element, lane, self.normalized)
+            if lane < self.layout.lanes {
+                self.layout.component.read(element, lane, self.layout.normalized)
             } else {
                 1.0
             }
@@ -189,15 +244,16 @@ impl<'a> Accessor<'a> {
     }
 
     fn element(&self, i: usize) -> &[u8] {
-        debug_assert!(i < self.count);
+        debug_assert!(self.range.contains(&i));
+        let bytes = self.layout.element_bytes;
         if let Some(sparse) = &self.sparse
             && let Ok(place) = sparse.indices.binary_search_by(|&index| (index as usize).cmp(&i))
         {
-            return &sparse.values[place * self.element_bytes..][..self.element_bytes];
+            return &sparse.values[place * bytes..][..bytes];
         }
-        match self.base {
-            Some(bytes) => &bytes[i * self.stride..][..self.element_bytes],
-            None => &ZERO_ELEMENT[..self.element_bytes],
+        match &self.base {
+            Some(base) => &base[(i - self.range.start) * self.layout.stride..][..bytes],
+            None => &ZERO_ELEMENT[..bytes],
         }
     }
 }
@@ -213,16 +269,15 @@ fn element_type(def: &AccessorDef) -> Option<(Component, usize)> {
     Some((Component::from_code(def.component_type)?, lanes))
 }
 
-/// The bytes from the first element on, and the step between elements, once they are known to
-/// hold `def.count` of them.
-fn base<'a>(
-    resources: &'a Resources<'_>,
+/// Where the elements stand, and the step between them, once they are known to be there.
+fn base(
+    resources: &Resources<'_>,
     at: &str,
     def: &AccessorDef,
     view: usize,
     element_bytes: usize,
-) -> Result<(Option<&'a [u8]>, usize), ImportError> {
-    let (bytes, stride) = resources.view(at, view)?;
+) -> Result<(Option<Span>, usize), ImportError> {
+    let (span, stride) = resources.view(at, view)?;
     let stride = stride.unwrap_or(element_bytes);
     if stride < element_bytes {
         return Err(resources.broken(
@@ -234,34 +289,32 @@ fn base<'a>(
         None => Some(0),
         Some(steps) => steps.checked_mul(stride).and_then(|bytes| bytes.checked_add(element_bytes)),
     };
-    let found = needed.and_then(|needed| range(bytes, def.byte_offset, needed)).ok_or_else(|| {
-        let (count, offset, has) = (def.count, def.byte_offset, bytes.len());
+    let found = needed.and_then(|needed| span.part(def.byte_offset, needed)).ok_or_else(|| {
+        let (count, offset, has) = (def.count, def.byte_offset, span.length);
         let what = format!("it claims {count} elements, {stride} bytes apart, at byte {offset} of a view of {has} bytes");
         resources.broken(at, what)
     })?;
     Ok((Some(found), stride))
 }
 
-fn open_sparse<'a>(
-    resources: &'a Resources<'_>,
+fn open_sparse(
+    resources: &Resources<'_>,
     at: &str,
     def: &SparseDef,
     elements: usize,
     element_bytes: usize,
-) -> Result<Sparse<'a>, ImportError> {
+) -> Result<Sparse, ImportError> {
     let part = |view: usize, offset: usize, each: usize, name: &str| {
-        let bytes = resources.view(at, view)?.0;
-        def.count.checked_mul(each).and_then(|needed| range(bytes, offset, needed)).ok_or_else(
-            || {
-                let (count, has) = (def.count, bytes.len());
-                resources.broken(
-                    at,
-                    format!(
-                        "it claims {count} sparse {name}, at byte {offset} of a view of {has} bytes"
-                    ),
-                )
-            },
-        )
+        let span = resources.view(at, view)?.0;
+        let part = def.count.checked_mul(each).and_then(|needed| span.part(offset, needed));
+        let part = part.ok_or_else(|| {
+            let (count, has) = (def.count, span.length);
+            let what = format!(
+                "it claims {count} sparse {name}, at byte {offset} of a view of {has} bytes"
+            );
+            resources.broken(at, what)
+        })?;
+        resources.bytes(part)
     };
     let component = Component::from_code(def.indices.component_type)
         .filter(|component| component.can_index())

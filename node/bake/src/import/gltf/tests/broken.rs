@@ -5,8 +5,9 @@ use std::path::Path;
 use proptest::prelude::*;
 use serde_json::{Value, json};
 
-use crate::import::testing::{Scene, U8, png};
-use crate::import::{ImportError, ImportErrorKind, import, import_bytes};
+use crate::import::gltf::testing::import_bytes;
+use crate::import::gltf::testing::{Scene, U8, png};
+use crate::import::{ImportError, ImportErrorKind, import_all as import};
 
 /// The error of the triangle scene after one edit of its JSON.
 fn edited(pointer: &str, value: Value) -> String {
@@ -290,7 +291,7 @@ proptest! {
             let (start, end) = numbers[place.index(numbers.len())];
             text.replace_range(start..end, &value);
         }
-        check(&crate::import::testing::glb(&text, &scene.bin))?;
+        check(&crate::import::gltf::testing::glb(&text, &scene.bin))?;
     }
 }
 

@@ -2,4 +2,5 @@
 
 mod broken;
 mod features;
+mod materials;
 mod real;

@@ -1,0 +1,264 @@
+//! glTF 2.0, as `.gltf` or `.glb`.
+//!
+//! The JSON is read as plain data and every claim in it is checked where it is used. Of the binary
+//! data only what a batch of meshes needs is in memory. Nothing animates here: cameras, skins,
+//! animations and morph targets leave their base pose and a note.
+
+mod accessor;
+mod buffers;
+mod compressed;
+mod container;
+mod document;
+mod material;
+mod mesh;
+mod nodes;
+mod press;
+#[cfg(test)]
+mod testing;
+#[cfg(test)]
+mod tests;
+mod triangles;
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
+
+use glam::DMat3;
+use rayon::prelude::*;
+
+use self::buffers::Resources;
+use self::document::{Document, label};
+use self::material::Material;
+use self::mesh::Tally;
+use self::nodes::Placement;
+use super::builder::Draft;
+use super::emit::Emitter;
+use super::error::ImportError;
+use super::store::Store;
+use crate::source::{Imported, SourceMesh, SourceObject};
+
+/// The up direction of every glTF scene (glTF 2.0, section 3.4).
+const UP: [f64; 3] = [0.0, 1.0, 0.0];
+/// Meshes that are read at once, in bytes they need.
+const BATCH_BYTES: u64 = 64 << 20;
+
+/// Reads the scene file at `path`, and the buffers and textures it refers to.
+///
+/// A glTF mesh becomes one mesh however many nodes show it; a node that shows it becomes an object,
+/// or one for each instance.
+pub(super) fn import(path: &Path, out: Emitter<'_>) -> Result<Imported, ImportError> {
+    let store = Store::open(path).map_err(|source| ImportError::unreadable(path, source))?;
+    import_store(path, store, out)
+}
+
+fn import_store(file: &Path, store: Store, mut out: Emitter<'_>) -> Result<Imported, ImportError> {
+    let parts = container::split(file, &store)?;
+    let length = usize::try_from(parts.json.end - parts.json.start).unwrap_or(usize::MAX);
+    let json = store
+        .read(parts.json.start, length)
+        .map_err(|source| ImportError::unreadable(file, source))?;
+    let document = container::parse(file, &json)?;
+    drop(json);
+    let resources = Resources::load(file, &document, store, parts.bin)?;
+    let placements = nodes::placements(&resources)?;
+
+    let mut notes = describe_ignored(&document);
+    let used = materials_of(&resources, placements.iter().map(|placement| placement.mesh))?;
+    let materials = material::materials(&resources, &used, &mut out, &mut notes)?;
+    let mut reader = Reader {
+        resources: &resources,
+        materials: &materials,
+        seen: vec![false; document.meshes.len()],
+        tally: Tally::default(),
+        out,
+    };
+    let objects = reader.objects(placements, &mut notes)?;
+    let Reader { out, .. } = reader;
+    out.finish(objects, UP, notes)
+}
+
+/// The materials that the `shown` meshes use, every reference checked.
+fn materials_of(
+    resources: &Resources<'_>,
+    shown: impl Iterator<Item = usize>,
+) -> Result<BTreeSet<usize>, ImportError> {
+    let document = resources.document;
+    let mut used = BTreeSet::new();
+    for number in shown.collect::<BTreeSet<usize>>() {
+        let mesh = &document.meshes[number];
+        for material in mesh.primitives.iter().filter_map(|primitive| primitive.material) {
+            if material >= document.materials.len() {
+                let what =
+                    format!("it refers to material {material} of {}", document.materials.len());
+                return Err(resources.broken(&label("mesh", number, mesh.name.as_ref()), what));
+            }
+            used.insert(material);
+        }
+    }
+    Ok(used)
+}
+
+/// Reads meshes, a batch at a time, and hands them out.
+struct Reader<'a, 's> {
+    resources: &'a Resources<'a>,
+    materials: &'a BTreeMap<usize, Material>,
+    /// By mesh: whether it is in `tally`.
+    seen: Vec<bool>,
+    tally: Tally,
+    out: Emitter<'s>,
+}
+
+impl Reader<'_, '_> {
+    /// Hands out every mesh that is shown; the objects that show them.
+    fn objects(
+        &mut self,
+        placements: Vec<Placement>,
+        notes: &mut Vec<String>,
+    ) -> Result<Vec<SourceObject>, ImportError> {
+        let is_flat = |placement: &&Placement| press::is_flat(&placement.world_from_mesh);
+        let shown: BTreeSet<usize> = placements
+            .iter()
+            .filter(|placement| !is_flat(placement))
+            .map(|placement| placement.mesh)
+            .collect();
+        let mut place_of = vec![None; self.seen.len()];
+        let shown: Vec<usize> = shown.into_iter().collect();
+        self.read(
+            &shown,
+            |number| number,
+            |_, draft| Ok(draft),
+            |number, place| {
+                place_of[number] = place;
+            },
+        )?;
+        let flat: Vec<(usize, &Placement)> =
+            placements.iter().enumerate().filter(|(_, placement)| is_flat(placement)).collect();
+        let mut place_of_flat = BTreeMap::new();
+        let file = self.resources;
+        self.read(
+            &flat,
+            |(_, placement)| placement.mesh,
+            |(_, placement), draft| {
+                press::press(&draft, placement.world_from_mesh.matrix3).ok_or_else(|| {
+                    file.invalid(
+                        format!("object {:?}", placement.name),
+                        "its transform is too large".into(),
+                        "scale it down",
+                    )
+                })
+            },
+            |(number, _), place| {
+                place_of_flat.insert(number, place);
+            },
+        )?;
+
+        let nodes = placements.len();
+        let mut objects = Vec::with_capacity(nodes);
+        for (number, placement) in placements.into_iter().enumerate() {
+            let Placement { name, mesh, mut world_from_mesh } = placement;
+            let place = match place_of_flat.get(&number) {
+                Some(&place) => {
+                    world_from_mesh.matrix3 = DMat3::IDENTITY;
+                    place
+                }
+                None => place_of[mesh],
+            };
+            let Some(mesh) = place else { continue };
+            objects.push(SourceObject { name, mesh, world_from_mesh });
+        }
+        describe_tally(&self.tally, nodes - objects.len(), notes);
+        Ok(objects)
+    }
+
+    /// Reads and hands out a mesh for each of `items`, in their order: `mesh_of` gives its number in
+    /// the document, `change` what becomes of it, and `done` hears its number in the sink, or `None`
+    /// if it holds no triangle at all.
+    fn read<T: Copy + Sync>(
+        &mut self,
+        items: &[T],
+        mesh_of: impl Fn(T) -> usize,
+        change: impl Fn(T, Draft) -> Result<Draft, ImportError> + Sync,
+        mut done: impl FnMut(T, Option<usize>),
+    ) -> Result<(), ImportError> {
+        let (resources, materials) = (self.resources, self.materials);
+        let numbered: Vec<(T, usize)> = items.iter().map(|&item| (item, mesh_of(item))).collect();
+        let mut waiting = numbered.into_iter().peekable();
+        while waiting.peek().is_some() {
+            let mut batch: Vec<(T, usize)> = Vec::new();
+            let mut bytes = 0u64;
+            while let Some(&(item, number)) = waiting.peek() {
+                bytes = bytes
+                    .saturating_add(mesh::estimate(resources, &resources.document.meshes[number]));
+                if bytes > BATCH_BYTES && !batch.is_empty() {
+                    break;
+                }
+                batch.push((item, number));
+                waiting.next();
+            }
+            let drafts: Vec<Result<(Draft, Tally), ImportError>> = batch
+                .par_iter()
+                .map(|&(item, number)| {
+                    let material = |material: Option<usize>| {
+                        material.map_or(&material::DEFAULT, |number| &materials[&number])
+                    };
+                    let mesh = &resources.document.meshes[number];
+                    let (draft, tally) = mesh::read(resources, number, mesh, material)?;
+                    Ok((change(item, draft)?, tally))
+                })
+                .collect();
+            // In order, so that of several faults always the same one is reported.
+            for (&(item, number), draft) in batch.iter().zip(drafts) {
+                let (draft, tally) = draft?;
+                if !std::mem::replace(&mut self.seen[number], true) {
+                    self.tally.add(&tally);
+                }
+                let is_something = SourceMesh::triangles(&draft.mesh) > 0;
+                done(item, is_something.then(|| self.out.mesh(draft)).transpose()?);
+            }
+        }
+        Ok(())
+    }
+}
+
+fn describe_ignored(document: &Document) -> Vec<String> {
+    let mut notes = Vec::new();
+    let counted = [
+        (document.cameras.len(), "cameras ignored"),
+        (document.skins.len(), "skins ignored, the base pose is used"),
+        (document.animations.len(), "animations ignored, the base pose is used"),
+    ];
+    notes.extend(
+        counted
+            .iter()
+            .filter(|(count, _)| *count > 0)
+            .map(|(count, what)| format!("{count} {what}")),
+    );
+    for extension in &document.extensions_used {
+        if !container::is_supported(extension) {
+            notes.push(format!("optional extension {extension} ignored"));
+        }
+    }
+    notes
+}
+
+fn describe_tally(tally: &Tally, objects_without_triangles: usize, notes: &mut Vec<String>) {
+    let counted = [
+        (tally.points_and_lines, "point and line primitives skipped"),
+        (tally.without_positions, "primitives without positions skipped"),
+        (tally.morphed, "primitives with morph targets, the base shape is used"),
+        (tally.leftover_corners, "corners left over at the end of triangle lists"),
+        (tally.degenerate, "degenerate triangles left out, instances not counted"),
+        (tally.mended_normals, "normals without a direction replaced by those of faces"),
+        (tally.mended_tex_coords, "texture coordinates that are no numbers replaced by zero"),
+        (
+            tally.without_tex_coords,
+            "textured primitives without texture coordinates, in one colour",
+        ),
+        (objects_without_triangles as u64, "objects without triangles skipped"),
+    ];
+    notes.extend(
+        counted
+            .iter()
+            .filter(|(count, _)| *count > 0)
+            .map(|(count, what)| format!("{count} {what}")),
+    );
+}
