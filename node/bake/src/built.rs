@@ -216,10 +216,7 @@ mod tests {
                 levels: vec![PendingLevel {
                     error: 0.1,
                     triangles: 2,
-                    parts: vec![
-                        part(Geometry::Packed(packed)),
-                        part(Geometry::Written(BlobId(7))),
-                    ],
+                    parts: vec![part(Geometry::Packed(packed)), part(Geometry::Written(BlobId(7)))],
                 }],
                 bounds: mesh.bounds(),
                 source_triangles: 5,

@@ -74,7 +74,7 @@ pub(crate) struct Builder<'a> {
     pub(crate) pieces: &'a Pieces,
     pub(crate) piece_file: &'a Records,
     pub(crate) plan: &'a Plan,
-    pub(crate) shared: &'a SharedLevels,
+    pub(crate) shared: &'a SharedLevels<'a>,
     pub(crate) single_sided: &'a [bool],
     pub(crate) options: &'a Options,
     pub(crate) tally: Tally,
@@ -135,7 +135,11 @@ impl Builder<'_> {
             source_triangles: sources.sum(),
             object: if one_object { own[0].object } else { NONE },
         };
-        if own[0].transform == NONE { self.whole(built, own) } else { self.assembly(built, members) }
+        if own[0].transform == NONE {
+            self.whole(built, own)
+        } else {
+            self.assembly(built, members)
+        }
     }
 
     /// A leaf without shared pieces: a mesh, as few as grid and 16-bit indices allow, and one coarser
@@ -164,8 +168,11 @@ impl Builder<'_> {
         let step = fitting_step(&base, step);
         let moved = snap(&mut base, step);
         built.bounds = built.bounds.union(base.bounds());
-        let form =
-            Form { error: error + moved, triangles: base.triangles.len(), shape: Shape::Mesh(base) };
+        let form = Form {
+            error: error + moved,
+            triangles: base.triangles.len(),
+            shape: Shape::Mesh(base),
+        };
         let mut top = Top { built, forms: vec![form], step, epsilon: 0.0, worst: error };
         self.extend(&mut top, f64::INFINITY, 1);
         Ok(top)
@@ -383,7 +390,11 @@ impl Builder<'_> {
     fn trim(&self, children: &mut [Top], finest: f64) {
         for child in children {
             let before = child.built.levels.len();
-            child.built.levels.retain(|level| level.error < finest);
+            // The original geometry of a leaf stays.
+            let is_leaf = self.tree().nodes[child.built.node as usize].item.is_some();
+            let mut first = is_leaf;
+            let keeps = |level: &PendingLevel| std::mem::take(&mut first) || level.error < finest;
+            child.built.levels.retain(keeps);
             let dropped = before - child.built.levels.len();
             self.tally.needless.fetch_add(dropped as u64, Ordering::Relaxed);
         }
@@ -432,6 +443,7 @@ impl Builder<'_> {
         if let Some(forms) = self.cheaper_parts(&made, children) {
             self.tally.instanced.fetch_add(forms.len() as u64, Ordering::Relaxed);
             let finest = forms[0].error;
+            top.step = 0.0;
             self.trim(children, finest);
             forms.into_iter().for_each(|form| self.push_parts(top, form));
             return Ok(());

@@ -21,7 +21,8 @@ const PAYING_SHARE: f64 = 0.75;
 const NEAR_TARGET: f64 = 1.25;
 /// A level that errs by more than this share of the mesh's diagonal says nothing about its shape.
 const MOST_ERROR: f64 = 0.25;
-/// The error need not be known any better than to this share of what the simplifier thinks it is.
+/// The error need not be known any better than to this share of what the simplifier thinks it is, or
+/// of the error that it is added to.
 const ENOUGH: f64 = 0.25;
 /// Nor any tighter than to this share above what it is at least.
 const SLACK: f64 = 0.2;
@@ -150,7 +151,7 @@ impl<'a> Chain<'a> {
     /// nothing near them have been put back into it.
     fn measured(&self, mesh: &mut Mesh, estimate: f64) -> f64 {
         let goal = Goal {
-            enough: estimate * ENOUGH,
+            enough: estimate.max(self.base_error) * ENOUGH,
             slack: SLACK,
             budget: CUTS * (mesh.triangles.len() + self.base.triangles.len()),
         };

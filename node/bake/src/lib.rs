@@ -1,18 +1,26 @@
 //! Source scene to scene file.
 
+mod built;
+mod bytes;
 mod hlod;
 pub mod import;
+mod keys;
 mod levels;
 pub mod options;
 mod output;
 mod pack;
 mod pieces;
 pub mod pipeline;
+mod plan;
 pub mod progress;
+mod shared;
 pub mod source;
+mod spool;
 pub mod summary;
 pub mod synth;
+mod work;
 
 pub use options::Options;
-pub use pipeline::{BakeError, bake, bake_source};
+pub use pipeline::{BakeError, bake, bake_scene};
 pub use summary::Summary;
+pub use work::WorkError;

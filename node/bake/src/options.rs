@@ -8,12 +8,18 @@ pub(crate) const MAX_MESH_TRIANGLES: usize = protocol::format::vertex::MAX_BLOB_
 /// Largest triangle target: a simplifier may stop a quarter above it.
 const MAX_TARGET: usize = 16_384;
 
+/// Less memory than this holds nothing worth a stage of its own.
+const LEAST_MEMORY: u64 = 16 << 20;
+
 /// Settings of a bake; `configs/bake.toml` explains each and holds the defaults.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Options {
     /// Worker threads; 0 takes one a processor. The output does not depend on it.
     pub jobs: usize,
+    /// Bytes of memory to work in, beside the program itself and the skeleton. The output does not
+    /// depend on it.
+    pub memory: u64,
     /// Stored with the scene.
     pub seed: u64,
     /// Most triangles of a leaf.
@@ -22,11 +28,14 @@ pub struct Options {
     pub piece_extent: f64,
     /// Fewest triangles of a piece that was split off for its extent alone.
     pub piece_least_triangles: usize,
+    /// Pixels along each side of the largest texture: a power of two.
+    pub texture_side: u32,
     /// Most children of an inner hlod.
     pub branching: usize,
     /// Triangles of the finest level of an inner hlod.
     pub hlod_triangles: usize,
-    /// Most levels of an inner hlod other than the root.
+    /// Most levels an inner hlod is given at first, the root apart; more follow where the step to its
+    /// parent is large.
     pub hlod_levels: usize,
     /// No level is made from a mesh of this many triangles or fewer.
     pub level_least_triangles: usize,
@@ -36,13 +45,15 @@ impl Default for Options {
     fn default() -> Self {
         Self {
             jobs: 0,
+            memory: 1 << 30,
             seed: 0,
             piece_triangles: 2048,
             piece_extent: 0.0625,
             piece_least_triangles: 128,
+            texture_side: 512,
             branching: 4,
             hlod_triangles: 2048,
-            hlod_levels: 3,
+            hlod_levels: 2,
             level_least_triangles: 16,
         }
     }
@@ -106,6 +117,11 @@ impl Options {
         hold((2..=16).contains(&branching), "branching", branching as f64, "2 to 16")?;
         let levels = self.hlod_levels;
         hold((1..=16).contains(&levels), "hlod_levels", levels as f64, "1 to 16")?;
+        let side = self.texture_side;
+        let is_side = side.is_power_of_two() && side <= 4096;
+        hold(is_side, "texture_side", f64::from(side), "a power of two, at most 4096")?;
+        let memory = self.memory;
+        hold(memory >= LEAST_MEMORY, "memory", memory as f64, "at least 16777216 (16MiB)")?;
         let extent = self.piece_extent;
         hold(extent > 0.0 && extent <= 1.0, "piece_extent", extent, "above 0, at most 1")
     }
@@ -140,6 +156,8 @@ mod tests {
             ("piece_extent = nan", "piece_extent"),
             ("hlod_levels = 0", "hlod_levels"),
             ("jobs = -1", "jobs"),
+            ("texture_side = 500", "power of two"),
+            ("memory = 1000", "16MiB"),
         ] {
             std::fs::write(&path, text).unwrap();
             let message = Options::from_file(&path).unwrap_err().to_string();

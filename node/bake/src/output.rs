@@ -77,8 +77,15 @@ impl Output {
             }
         };
         let SoFar { rows, notes, written_triangles, .. } = so_far;
-        let output =
-            Self { writer, journal, blobs, fresh: Vec::new(), rows, written_triangles, seconds: 0.0 };
+        let output = Self {
+            writer,
+            journal,
+            blobs,
+            fresh: Vec::new(),
+            rows,
+            written_triangles,
+            seconds: 0.0,
+        };
         Ok((output, notes))
     }
 
@@ -87,7 +94,8 @@ impl Output {
         let start = Instant::now();
         self.written_triangles += u64::from(mesh.triangles());
         let (vertices, classes) = (mesh.vertices(), mesh.classes);
-        let blob = self.writer.add_blob(mesh.origin, mesh.step, vertices, &mesh.indices, classes)?;
+        let blob =
+            self.writer.add_blob(mesh.origin, mesh.step, vertices, &mesh.indices, classes)?;
         self.seconds += start.elapsed().as_secs_f64();
         Ok(blob)
     }

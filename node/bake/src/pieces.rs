@@ -422,7 +422,9 @@ mod tests {
             assert!(piece.triangles.len() <= 100);
             let bytes = piece.encode();
             assert_eq!(PieceMesh::decode(&bytes).as_ref(), Ok(piece));
-            assert!((0..bytes.len()).step_by(7).all(|end| PieceMesh::decode(&bytes[..end]).is_err()));
+            assert!(
+                (0..bytes.len()).step_by(7).all(|end| PieceMesh::decode(&bytes[..end]).is_err())
+            );
             assert!(piece.mesh(|_| 0).vertices.iter().all(|vertex| vertex.surface == 3));
         }
     }

@@ -167,6 +167,7 @@ fn import_all(
     let limits = ImportLimits { texture_side: options.texture_side };
     for input in inputs {
         let (meshes, textures) = spool.counts();
+        spool.next_file(whole.as_ref().map_or(0, |whole: &Imported| whole.surfaces.len()));
         let part = import(input, &limits, &mut spool)?;
         join(&mut whole, part, meshes, textures);
         progress.advance(1);
@@ -370,9 +371,8 @@ impl Job<'_> {
         let most = most.clamp(1, MOST_BLOCK_TRIANGLES);
         let triangles = plan.source_triangles(pieces);
         let nodes = &plan.tree.nodes;
-        let is_block = |node: u32| {
-            triangles[node as usize] <= most || nodes[node as usize].item.is_some()
-        };
+        let is_block =
+            |node: u32| triangles[node as usize] <= most || nodes[node as usize].item.is_some();
         let is_below_block = |node: u32| nodes[node as usize].parent.is_some_and(is_block);
         let mut blocks: Vec<u32> = Vec::new();
         // In the order of a walk that visits children before what comes after their parent.

@@ -8,7 +8,7 @@ use crate::pieces::{ALL_PIECES, PieceMesh, Slicer};
 use crate::spool::Scene;
 use crate::work::{Appender, Records, Span, Work, WorkError};
 use geometry::bounds::Aabb;
-use geometry::cluster::{ClusterItem, ClusterLimits, cluster, split_uneven};
+use geometry::cluster::{ClusterItem, ClusterLimits, SplitLimits, cluster, split_uneven};
 use geometry::criteria::{self, Criteria};
 use geometry::hierarchy::{self, Tree};
 use glam::{DAffine3, DVec3};
@@ -16,6 +16,8 @@ use protocol::format::{NONE, Transform};
 use rayon::prelude::*;
 use std::ops::Range;
 
+/// A cluster whose members' boxes have less than this share of its own box's surface is uneven.
+const LEAST_FILL: f64 = 0.5;
 const PIECES: &str = "pieces";
 /// Gap within which a cluster of one triangle may grow, as a share of the longest side a leaf may
 /// have; a cluster of more reaches less far in proportion (the k of Felzenszwalb and Huttenlocher).
@@ -319,14 +321,17 @@ impl Plan {
             extent,
             scale: extent * CLUSTER_REACH,
         };
+        let split =
+            SplitLimits { fill: LEAST_FILL, least_triangles: options.piece_least_triangles as u32 };
         // Shared pieces stay shared, so they have clusters of their own.
-        let (shared, own): (Vec<u32>, Vec<u32>) = (0..candidates.len() as u32)
-            .partition(|&id| candidates[id as usize].transform != NONE);
+        let (shared, own): (Vec<u32>, Vec<u32>) =
+            (0..candidates.len() as u32).partition(|&id| candidates[id as usize].transform != NONE);
         for ids in [own, shared] {
             let items: Vec<ClusterItem> = ids.iter().map(|&id| items[id as usize]).collect();
             let clusters = cluster(&items, &limits);
             self.counts.clusters += clusters.len() as u64;
-            for members in clusters.iter().flat_map(|cluster| split_uneven(&items, cluster, &split)) {
+            for members in clusters.iter().flat_map(|cluster| split_uneven(&items, cluster, &split))
+            {
                 let first = self.members.len();
                 let members = members.iter().map(|&item| candidates[ids[item as usize] as usize]);
                 self.members.extend(members);

@@ -8,6 +8,7 @@ use crate::pieces::PieceMesh;
 use crate::plan::Pieces;
 use crate::source::Surface;
 use crate::work::{Appender, Records, Span, Work, WorkError};
+use geometry::mesh::Mesh;
 use protocol::id::BlobId;
 
 /// Name of the file in the working folder.
@@ -33,22 +34,23 @@ pub(crate) struct MadeLevel {
 }
 
 /// All levels of one shared piece. Its borders stay in all of them.
-pub(crate) fn make(piece: &PieceMesh, setting: Setting<'_>, surfaces: &[Surface]) -> Vec<MadeLevel> {
+pub(crate) fn make(
+    piece: &PieceMesh,
+    setting: Setting<'_>,
+    surfaces: &[Surface],
+) -> Vec<MadeLevel> {
     let base = piece.mesh(|_| 0);
-    let pack = |mesh| pack(mesh, piece.step, surfaces).expect("levels have triangles with an area");
+    let pack =
+        |mesh: &Mesh| pack(mesh, piece.step, surfaces).expect("levels have triangles with an area");
     let mut made = vec![MadeLevel { error: piece.step, packed: pack(&base), piece: None }];
     let mut chain = Chain::new(&base, piece.step, 0.0, setting);
-    let mut before: Option<(geometry::mesh::Mesh, f64)> = None;
+    let mut before: Option<(Mesh, f64)> = None;
     loop {
         let (mesh, finer) = before.as_ref().map_or((&base, piece.step), |(m, e)| (m, *e));
         let Ok(level) = chain.next(mesh, finer, mesh.triangles.len() / 2) else { return made };
         let mut coarse = PieceMesh::of(&level.mesh, piece.step).expect("it was just packed");
         coarse.inherit_seams(piece);
-        made.push(MadeLevel {
-            error: level.error,
-            packed: pack(&level.mesh),
-            piece: Some(coarse),
-        });
+        made.push(MadeLevel { error: level.error, packed: pack(&level.mesh), piece: Some(coarse) });
         before = Some((level.mesh, level.error));
     }
 }

@@ -1,7 +1,9 @@
 //! Where an importer's meshes and textures wait on disk, so that no scene need be in memory.
 
 use crate::bytes::{Decoder, Encoder, Torn};
-use crate::source::{Alpha, Imported, Section, Sink, SourceMesh, SourceObject, Surface, Texture, Wrap};
+use crate::source::{
+    Alpha, Imported, Section, Sink, SourceMesh, SourceObject, Surface, Texture, Wrap,
+};
 use crate::work::{Appender, Records, Span, Work, WorkError};
 use geometry::bounds::Aabb;
 use glam::{DAffine3, DMat3, DVec3, Vec3};
@@ -44,17 +46,24 @@ pub(crate) struct Spool {
     file: Appender,
     meshes: Vec<MeshInfo>,
     textures: Vec<TextureInfo>,
+    /// Surfaces of the files before.
+    surfaces: usize,
 }
 
 impl Spool {
     pub(crate) fn create(work: &Work) -> Result<Self, WorkError> {
         let file = Appender::create(&work.path(MESHES))?;
-        Ok(Self { file, meshes: Vec::new(), textures: Vec::new() })
+        Ok(Self { file, meshes: Vec::new(), textures: Vec::new(), surfaces: 0 })
     }
 
     /// Meshes and textures so far: the numbers of the next file begin there.
     pub(crate) fn counts(&self) -> (usize, usize) {
         (self.meshes.len(), self.textures.len())
+    }
+
+    /// Another file follows, whose surfaces stand behind so many of earlier ones.
+    pub(crate) fn next_file(&mut self, surfaces: usize) {
+        self.surfaces = surfaces;
     }
 
     /// Completes the scene.
@@ -75,6 +84,13 @@ impl Sink for Spool {
             bytemuck::cast_slice(&mesh.tex_coords),
             bytemuck::cast_slice(&mesh.indices),
         ])?;
+        let sections = mesh.sections.iter().map(|&Section { end, surface }| {
+            let surface = u16::try_from(usize::from(surface) + self.surfaces);
+            let surface =
+                surface.map_err(|_| io::Error::other("there are more than 65536 surfaces"))?;
+            Ok(Section { end, surface })
+        });
+        let sections = sections.collect::<io::Result<Vec<_>>>()?;
         let points = mesh.positions.iter().map(|p| Vec3::from_array(*p).as_dvec3());
         self.meshes.push(MeshInfo {
             positions: mesh.positions.len() as u64,
@@ -83,7 +99,7 @@ impl Sink for Spool {
             dropped_degenerate: mesh.dropped_degenerate,
             bounds: Aabb::of(points),
             name: mesh.name,
-            sections: mesh.sections,
+            sections,
             span,
         });
         Ok(())

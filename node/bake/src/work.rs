@@ -186,7 +186,7 @@ impl Records {
 
     /// Reads bytes that were appended at `offset` into `to`.
     pub(crate) fn read_into(&self, offset: u64, to: &mut [u8]) -> Result<(), WorkError> {
-        let read = || {
+        let mut read = || {
             use std::io::Read;
             let mut file = self.file.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
             file.seek(SeekFrom::Start(offset))?;

@@ -3,8 +3,8 @@
 mod bottom_up;
 pub mod bounds;
 pub mod cluster;
-pub mod criteria;
 pub mod codec;
+pub mod criteria;
 pub mod deviation;
 mod divide;
 pub mod frustum;

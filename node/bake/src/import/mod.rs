@@ -9,12 +9,14 @@ mod error;
 mod format;
 mod gltf;
 mod picture;
+mod references;
 mod store;
 mod uri;
 
 use std::path::Path;
 
 pub use error::{ImportError, ImportErrorKind};
+pub use references::references;
 
 use self::emit::Emitter;
 use self::format::Format;

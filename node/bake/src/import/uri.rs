@@ -38,6 +38,11 @@ impl Folder<'_> {
         Store::open(&path).map_err(|source| ImportError::Read { file: path, source })
     }
 
+    /// The file a URI refers to, if it may be read and is there.
+    pub(super) fn find(&self, uri: &str) -> Option<PathBuf> {
+        self.locate("", uri).ok()
+    }
+
     fn locate(&self, at: &str, uri: &str) -> Result<PathBuf, ImportError> {
         let outside = |why| ImportError::OutsideFolder {
             file: self.file.into(),

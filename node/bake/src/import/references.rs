@@ -1,0 +1,118 @@
+//! Which other files a scene file refers to: a quick look, before anything is imported.
+
+use serde::Deserialize;
+use std::fs::File;
+use std::io::{BufRead, BufReader, Read, Seek, SeekFrom};
+use std::path::{Path, PathBuf};
+
+use super::error::ImportError;
+use super::uri::Folder;
+
+/// What names other files in a glTF document.
+#[derive(Deserialize)]
+struct Names {
+    #[serde(default)]
+    buffers: Vec<Name>,
+    #[serde(default)]
+    images: Vec<Name>,
+}
+
+#[derive(Deserialize)]
+struct Name {
+    uri: Option<String>,
+}
+
+/// The files that `path` refers to and that its importer may read, in the order they are named; those
+/// that its importer would refuse are left out, as is everything in a file that cannot be understood.
+///
+/// # Errors
+///
+/// Where the file itself cannot be read.
+pub fn references(path: &Path) -> Result<Vec<PathBuf>, ImportError> {
+    let unreadable = |source| ImportError::unreadable(path, source);
+    let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default();
+    match extension.to_ascii_lowercase().as_str() {
+        "obj" => in_obj(path).map_err(unreadable),
+        "ply" | "stl" => Ok(Vec::new()),
+        _ => in_gltf(path).map_err(unreadable),
+    }
+}
+
+fn in_gltf(path: &Path) -> std::io::Result<Vec<PathBuf>> {
+    let mut file = File::open(path)?;
+    let mut head = [0u8; 20];
+    let json = if file.read_exact(&mut head).is_ok() && head.starts_with(b"glTF") {
+        // The length of a GLB's first chunk (glTF 2.0, section 4.4.3).
+        let length = u32::from_le_bytes([head[12], head[13], head[14], head[15]]);
+        serde_json::from_reader(BufReader::new(file.take(u64::from(length))))
+    } else {
+        file.seek(SeekFrom::Start(0))?;
+        serde_json::from_reader(BufReader::new(file))
+    };
+    let Ok(Names { buffers, images }) = json else { return Ok(Vec::new()) };
+    let names = buffers.into_iter().chain(images).filter_map(|name| name.uri);
+    let external = names.filter(|uri| !uri.starts_with("data:"));
+    Ok(external.filter_map(|uri| Folder { file: path }.find(&uri)).collect())
+}
+
+fn in_obj(path: &Path) -> std::io::Result<Vec<PathBuf>> {
+    let mut found = Vec::new();
+    for library in named_after(path, &["mtllib "])? {
+        let Some(library) = (Folder { file: path }).find(&library) else { continue };
+        // A missing library is the importer's to judge.
+        let pictures = named_after(&library, &["map_Kd "]).unwrap_or_default();
+        found.push(library.clone());
+        // Options come before the name.
+        let names = pictures.iter().filter_map(|rest| rest.split_whitespace().last());
+        found.extend(names.filter_map(|name| Folder { file: &library }.find(name)));
+    }
+    Ok(found)
+}
+
+/// What stands behind one of these words at the beginning of a line.
+fn named_after(path: &Path, words: &[&str]) -> std::io::Result<Vec<String>> {
+    let mut reader = BufReader::new(File::open(path)?);
+    let (mut line, mut found) = (Vec::new(), Vec::new());
+    while reader.read_until(b'\n', &mut line)? > 0 {
+        let text = line.trim_ascii_start();
+        if let Some(rest) = words.iter().find_map(|word| text.strip_prefix(word.as_bytes())) {
+            found.push(String::from_utf8_lossy(rest.trim_ascii()).into_owned());
+        }
+        line.clear();
+    }
+    Ok(found)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_format_names_its_files() {
+        let folder = tempfile::tempdir().unwrap();
+        let write = |name: &str, text: &[u8]| {
+            let path = folder.path().join(name);
+            std::fs::write(&path, text).unwrap();
+            path
+        };
+        write("a b.png", b"");
+        write("m.mtl", b"newmtl x\nmap_Kd -clamp on k.png\n");
+        write("k.png", b"");
+        let names = |path: &Path| -> Vec<String> {
+            let all = references(path).unwrap();
+            all.iter().map(|p| p.file_name().unwrap().to_string_lossy().into_owned()).collect()
+        };
+        let json = br#"{"images":[{"uri":"a%20b.png"},{"uri":"data:,x"},{"uri":"../up.png"}]}"#;
+        assert_eq!(names(&write("s.gltf", json)), ["a b.png"]);
+        let mut glb = b"glTF\x02\0\0\0\0\0\0\0".to_vec();
+        glb.extend((json.len() as u32).to_le_bytes());
+        glb.extend(b"JSON");
+        glb.extend(json);
+        glb.extend(b"more");
+        assert_eq!(names(&write("s.glb", &glb)), ["a b.png"]);
+        assert_eq!(names(&write("s.obj", b"mtllib m.mtl\nv 0 0 0\n")), ["m.mtl", "k.png"]);
+        assert!(names(&write("s.ply", b"ply\n")).is_empty());
+        assert!(names(&write("broken.gltf", b"{\"images\":[{")).is_empty());
+        assert!(references(&folder.path().join("none.glb")).is_err());
+    }
+}
