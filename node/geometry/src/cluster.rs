@@ -283,13 +283,14 @@ mod tests {
     #[test]
     fn large_items_stay_alone_and_do_not_stand_between_others() {
         let floor = item(DVec3::ZERO, 50.0, 1);
-        let heavy = item(DVec3::ZERO, 0.1, 101);
-        let mut items = vec![floor, heavy];
-        items.extend(vec![heavy; 40]);
-        items.extend((0..8).map(|i| item(DVec3::X * f64::from(i), 0.5, 10)));
+        let at = |i: u32| DVec3::X * f64::from(i);
+        // Around each small item more heavy ones than it has edges, all nearer than its like.
+        let mut items = vec![floor];
+        items.extend((0..80).map(|i| item(at(i / 10), 0.4, 101)));
+        items.extend((0..8).map(|i| item(at(i), 0.4, 10)));
         let clusters = check(&items, &ClusterLimits { extent: 20.0, ..LIMITS });
-        assert_eq!(clusters.len(), 42 + 1);
-        assert_eq!(clusters[42], (42..50).collect::<Vec<u32>>());
+        assert_eq!(clusters.len(), 81 + 1);
+        assert_eq!(clusters[81], (81..89).collect::<Vec<u32>>());
     }
 
     #[test]

@@ -192,9 +192,15 @@ mod tests {
     #[test]
     fn nested_boxes_of_every_scale_stay_shallow() {
         let boxes: Vec<_> = (0..2000).map(|i| cube(DVec3::ZERO, 1.01f64.powi(i))).collect();
-        // A third at least goes either way: 2000 * (2/3)^18 is 1.4.
-        assert!(check(&boxes, 2).depths().iter().all(|&depth| depth <= 19));
+        check(&boxes, 2);
         check(&boxes, 8);
+    }
+
+    #[test]
+    fn boxes_ever_farther_apart_make_no_chain() {
+        let boxes: Vec<_> = (0..300).map(|i| cube(DVec3::X * 1.5f64.powi(i), 0.5)).collect();
+        // A third at least goes either way, and 300 * (2/3)^15 is below 1.
+        assert!(check(&boxes, 2).depths().iter().all(|&depth| depth <= 15));
     }
 
     #[test]

@@ -1,5 +1,9 @@
 //! What is in a scene file, in numbers.
 
+mod comparison;
+
+pub use comparison::{Comparison, Pair};
+
 use super::{Class, Hlod, NONE, Skeleton};
 use serde::Serialize;
 
@@ -51,6 +55,8 @@ pub struct Inspection {
     pub overlap_mean: f64,
     /// The greatest such ratio.
     pub overlap_max: f64,
+    /// How good the tree is, measured by the bake.
+    pub criteria: Option<Comparison>,
 }
 
 /// Triangles by class.
@@ -150,6 +156,7 @@ pub fn summary(skeleton: &Skeleton) -> Inspection {
         branching: branching(hlods),
         overlap_mean: overlaps.iter().sum::<f64>() / overlaps.len().max(1) as f64,
         overlap_max: overlaps.iter().copied().fold(0.0, f64::max),
+        criteria: Comparison::of(&skeleton.info),
     }
 }
 
@@ -300,6 +307,9 @@ impl std::fmt::Display for Inspection {
             b.indices,
             b.pixels
         )?;
+        if let Some(criteria) = &self.criteria {
+            write!(f, "{criteria}")?;
+        }
         writeln!(f, "depth      hlods     leaves    triangles, finest     coarsest")?;
         for (depth, t) in self.tree.iter().enumerate() {
             writeln!(

@@ -16,7 +16,7 @@ const HOUSES: u32 = 3;
 const STOREY: f64 = 3.2;
 const BAY: f64 = 3.0;
 
-const COLORS: [(&str, [f32; 3]); 7] = [
+pub(super) const COLORS: [(&str, [f32; 3]); 7] = [
     ("street", [0.12, 0.12, 0.13]),
     ("pavement", [0.36, 0.35, 0.33]),
     ("brick", [0.40, 0.14, 0.09]),
@@ -27,7 +27,7 @@ const COLORS: [(&str, [f32; 3]); 7] = [
 ];
 const STREET_COLOR: usize = 0;
 const PAVEMENT_COLOR: usize = 1;
-const FACADE_COLORS: std::ops::Range<u32> = 2..7;
+pub(super) const FACADE_COLORS: std::ops::Range<u32> = 2..7;
 
 /// Lays the city out.
 pub(super) fn plan(seed: u64) -> Plan {

@@ -1,7 +1,8 @@
 //! GLB writer: glTF 2.0 binary container, section 4 of the specification.
 
-use super::{Mesh, Model};
-use serde_json::{Value, json};
+use super::{Material, Mesh, Model};
+use serde::Serialize;
+use std::collections::HashMap;
 use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
@@ -34,15 +35,27 @@ const ARRAY_BUFFER: u32 = 34962;
 const ELEMENT_ARRAY_BUFFER: u32 = 34963;
 
 /// Writes `model` as `path`, under a temporary name beside it first, synced and then renamed, so that
-/// no half of a file is ever seen under `path`.
+/// no half of a file is ever seen under `path`. Normals and indices that several meshes have in common
+/// are written once.
 ///
 /// # Errors
 /// [`GlbError::TooLarge`] from 4 GiB on, before anything is written; [`GlbError::Io`] otherwise.
 pub fn write_glb(model: &Model, path: &Path) -> Result<(), GlbError> {
-    let mut json = serde_json::to_vec(&document(model)).map_err(|e| io(path, e.into()))?;
+    let layout = Layout::of(model);
+    let json = serde_json::to_vec(&document(model, &layout)).map_err(|e| io(path, e.into()))?;
+    write_container(path, json, Some(layout.bytes()), |out| write_binary(model, &layout, out))
+}
+
+/// Writes a GLB of a JSON chunk and, if there is one, a binary chunk of `binary` bytes, a multiple of 4,
+/// which `write` writes. Temporary name, durability and errors as for [`write_glb`].
+pub(super) fn write_container(
+    path: &Path,
+    mut json: Vec<u8>,
+    binary: Option<u64>,
+    write: impl FnOnce(&mut BufWriter<File>) -> std::io::Result<()>,
+) -> Result<(), GlbError> {
     json.resize(json.len().next_multiple_of(4), b' ');
-    let binary: u64 = model.meshes.iter().map(mesh_bytes).sum();
-    let total = 12 + 8 + json.len() as u64 + 8 + binary;
+    let total = 12 + 8 + json.len() as u64 + binary.map_or(0, |bytes| 8 + bytes);
     let Ok(total_field) = u32::try_from(total) else {
         return Err(GlbError::TooLarge { path: path.to_owned(), bytes: total });
     };
@@ -58,10 +71,10 @@ pub fn write_glb(model: &Model, path: &Path) -> Result<(), GlbError> {
         }
         out.write_all(b"JSON")?;
         out.write_all(&json)?;
-        out.write_all(&(binary as u32).to_le_bytes())?;
-        out.write_all(b"BIN\0")?;
-        for mesh in &model.meshes {
-            write_mesh(mesh, &mut out)?;
+        if let Some(bytes) = binary {
+            out.write_all(&(bytes as u32).to_le_bytes())?;
+            out.write_all(b"BIN\0")?;
+            write(&mut out)?;
         }
         out.into_inner().map_err(std::io::IntoInnerError::into_error)?.sync_all()?;
         std::fs::rename(&temporary, path)
@@ -82,28 +95,71 @@ fn short_indices(mesh: &Mesh) -> bool {
     mesh.positions.len() <= usize::from(u16::MAX)
 }
 
-fn index_bytes(mesh: &Mesh) -> u64 {
-    mesh.indices.len() as u64 * if short_indices(mesh) { 2 } else { 4 }
+/// Which meshes write what, by their numbers. The buffer holds all positions, then the distinct
+/// normals, then the distinct indices of 16 bits, padded, then those of 32 bits.
+struct Layout {
+    /// Of each mesh: the one whose normals, and the one whose indices, are its own.
+    sources: Vec<[usize; 2]>,
+    /// Bytes of the four parts.
+    parts: [u64; 4],
 }
 
-fn mesh_bytes(mesh: &Mesh) -> u64 {
-    24 * mesh.positions.len() as u64 + index_bytes(mesh).next_multiple_of(4)
-}
-
-fn write_mesh(mesh: &Mesh, out: &mut impl Write) -> std::io::Result<()> {
-    for vector in mesh.positions.iter().chain(&mesh.normals) {
-        for c in vector {
-            out.write_all(&c.to_le_bytes())?;
+impl Layout {
+    fn of(model: &Model) -> Self {
+        let mut normals: HashMap<Vec<[u32; 3]>, usize> = HashMap::new();
+        let mut indices: HashMap<(bool, &[u32]), usize> = HashMap::new();
+        let mut layout = Self { sources: Vec::with_capacity(model.meshes.len()), parts: [0; 4] };
+        for (number, mesh) in model.meshes.iter().enumerate() {
+            let bits = mesh.normals.iter().map(|normal| normal.map(f32::to_bits)).collect();
+            let short = short_indices(mesh);
+            let sources = [
+                *normals.entry(bits).or_insert(number),
+                *indices.entry((short, &mesh.indices)).or_insert(number),
+            ];
+            layout.parts[0] += 12 * mesh.positions.len() as u64;
+            if sources[0] == number {
+                layout.parts[1] += 12 * mesh.normals.len() as u64;
+            }
+            if sources[1] == number {
+                let (part, width) = if short { (2, 2) } else { (3, 4) };
+                layout.parts[part] += width * mesh.indices.len() as u64;
+            }
+            layout.sources.push(sources);
         }
+        layout
     }
-    if short_indices(mesh) {
+
+    /// Where the parts begin.
+    fn starts(&self) -> [u64; 4] {
+        let [positions, normals, short, _] = self.parts;
+        let after = positions + normals;
+        [0, positions, after, after + short.next_multiple_of(4)]
+    }
+
+    fn bytes(&self) -> u64 {
+        self.starts()[3] + self.parts[3]
+    }
+}
+
+fn write_binary(model: &Model, layout: &Layout, out: &mut impl Write) -> std::io::Result<()> {
+    let own = |which: usize| {
+        let sources = layout.sources.iter().enumerate();
+        let own = sources.filter(move |(number, sources)| sources[which] == *number);
+        own.map(|(number, _)| &model.meshes[number])
+    };
+    for mesh in &model.meshes {
+        write_vectors(&mesh.positions, out)?;
+    }
+    for mesh in own(0) {
+        write_vectors(&mesh.normals, out)?;
+    }
+    for mesh in own(1).filter(|mesh| short_indices(mesh)) {
         for &i in &mesh.indices {
             out.write_all(&(i as u16).to_le_bytes())?;
         }
-        if mesh.indices.len() % 2 == 1 {
-            out.write_all(&[0; 2])?;
-        }
-    } else {
+    }
+    out.write_all(&[0; 3][..(layout.parts[2].next_multiple_of(4) - layout.parts[2]) as usize])?;
+    for mesh in own(1).filter(|mesh| !short_indices(mesh)) {
         for &i in &mesh.indices {
             out.write_all(&i.to_le_bytes())?;
         }
@@ -111,77 +167,193 @@ fn write_mesh(mesh: &Mesh, out: &mut impl Write) -> std::io::Result<()> {
     Ok(())
 }
 
-fn document(model: &Model) -> Value {
-    let (mut views, mut accessors, mut meshes) = (Vec::new(), Vec::new(), Vec::new());
-    let mut offset = 0;
-    for mesh in &model.meshes {
-        let first = accessors.len();
-        let vectors = 12 * mesh.positions.len() as u64;
-        let width = if short_indices(mesh) { UNSIGNED_SHORT } else { UNSIGNED_INT };
-        for (at, bytes, target) in [
-            (offset, vectors, ARRAY_BUFFER),
-            (offset + vectors, vectors, ARRAY_BUFFER),
-            (offset + 2 * vectors, index_bytes(mesh), ELEMENT_ARRAY_BUFFER),
-        ] {
-            views.push(json!({
-                "buffer": 0, "byteOffset": at, "byteLength": bytes, "target": target
-            }));
+fn write_vectors(vectors: &[[f32; 3]], out: &mut impl Write) -> std::io::Result<()> {
+    vectors.iter().flatten().try_for_each(|c| out.write_all(&c.to_le_bytes()))
+}
+
+// Plain data instead of JSON values: a city's document has a million of them.
+
+#[derive(Serialize)]
+#[serde(rename_all = "camelCase")]
+struct Document<'a> {
+    asset: Asset,
+    scene: usize,
+    scenes: [Scene; 1],
+    nodes: Vec<Node<'a>>,
+    meshes: Vec<MeshEntry<'a>>,
+    materials: Vec<MaterialEntry<'a>>,
+    accessors: Vec<Accessor>,
+    buffer_views: Vec<View>,
+    buffers: [Buffer; 1],
+}
+
+#[derive(Serialize)]
+struct Asset {
+    version: &'static str,
+    generator: &'static str,
+}
+
+#[derive(Serialize)]
+struct Scene {
+    nodes: Vec<usize>,
+}
+
+#[derive(Serialize)]
+struct Node<'a> {
+    name: &'a str,
+    mesh: usize,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    matrix: Option<[f64; 16]>,
+}
+
+#[derive(Serialize)]
+struct MeshEntry<'a> {
+    name: &'a str,
+    primitives: [Primitive; 1],
+}
+
+#[derive(Serialize)]
+struct Primitive {
+    attributes: Attributes,
+    indices: usize,
+    material: usize,
+}
+
+#[derive(Serialize)]
+#[serde(rename_all = "UPPERCASE")]
+struct Attributes {
+    position: usize,
+    normal: usize,
+}
+
+#[derive(Serialize)]
+#[serde(rename_all = "camelCase")]
+struct MaterialEntry<'a> {
+    name: &'a str,
+    pbr_metallic_roughness: Look,
+}
+
+#[derive(Serialize)]
+#[serde(rename_all = "camelCase")]
+struct Look {
+    base_color_factor: [f64; 4],
+    metallic_factor: f64,
+    roughness_factor: f64,
+}
+
+#[derive(Serialize)]
+#[serde(rename_all = "camelCase")]
+struct Accessor {
+    buffer_view: usize,
+    byte_offset: u64,
+    component_type: u32,
+    #[serde(rename = "type")]
+    kind: &'static str,
+    count: usize,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    min: Option<[f64; 3]>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    max: Option<[f64; 3]>,
+}
+
+#[derive(Serialize)]
+#[serde(rename_all = "camelCase")]
+struct View {
+    buffer: usize,
+    byte_offset: u64,
+    byte_length: u64,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    byte_stride: Option<u32>,
+    target: u32,
+}
+
+#[derive(Serialize)]
+#[serde(rename_all = "camelCase")]
+struct Buffer {
+    byte_length: u64,
+}
+
+fn document<'a>(model: &'a Model, layout: &Layout) -> Document<'a> {
+    let mut views = Vec::new();
+    // A view must not be empty, so a part without bytes has none.
+    let view_of = [0, 1, 2, 3].map(|part| {
+        let vectors = part < 2;
+        if layout.parts[part] > 0 {
+            views.push(View {
+                buffer: 0,
+                byte_offset: layout.starts()[part],
+                byte_length: layout.parts[part],
+                byte_stride: vectors.then_some(12),
+                target: if vectors { ARRAY_BUFFER } else { ELEMENT_ARRAY_BUFFER },
+            });
         }
-        let (mut low, mut high) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
-        for p in &mesh.positions {
-            for k in 0..3 {
-                low[k] = low[k].min(p[k]);
-                high[k] = high[k].max(p[k]);
+        views.len().saturating_sub(1)
+    });
+    let mut accessors = Vec::new();
+    let mut ends = [0u64; 4];
+    let mut accessor = |part: usize, count: usize, bounds: Option<[[f64; 3]; 2]>| {
+        let (kind, component_type, bytes) = [
+            ("VEC3", FLOAT, 12),
+            ("VEC3", FLOAT, 12),
+            ("SCALAR", UNSIGNED_SHORT, 2),
+            ("SCALAR", UNSIGNED_INT, 4),
+        ][part];
+        accessors.push(Accessor {
+            buffer_view: view_of[part],
+            byte_offset: ends[part],
+            component_type,
+            kind,
+            count,
+            min: bounds.map(|[min, _]| min),
+            max: bounds.map(|[_, max]| max),
+        });
+        ends[part] += bytes * count as u64;
+        accessors.len() - 1
+    };
+    let mut meshes: Vec<MeshEntry<'a>> = Vec::with_capacity(model.meshes.len());
+    for (number, (mesh, sources)) in model.meshes.iter().zip(&layout.sources).enumerate() {
+        let position = accessor(0, mesh.positions.len(), Some(bounds(mesh)));
+        let normal = match sources[0] {
+            own if own == number => accessor(1, mesh.normals.len(), None),
+            other => meshes[other].primitives[0].attributes.normal,
+        };
+        let indices = match sources[1] {
+            own if own == number => {
+                accessor(if short_indices(mesh) { 2 } else { 3 }, mesh.indices.len(), None)
             }
-        }
-        accessors.push(json!({
-            "bufferView": first, "componentType": FLOAT, "type": "VEC3",
-            "count": mesh.positions.len(), "min": low.map(f64::from), "max": high.map(f64::from)
-        }));
-        accessors.push(json!({
-            "bufferView": first + 1, "componentType": FLOAT, "type": "VEC3",
-            "count": mesh.normals.len()
-        }));
-        accessors.push(json!({
-            "bufferView": first + 2, "componentType": width, "type": "SCALAR",
-            "count": mesh.indices.len()
-        }));
-        meshes.push(json!({
-            "name": mesh.name,
-            "primitives": [{
-                "attributes": { "POSITION": first, "NORMAL": first + 1 },
-                "indices": first + 2, "material": mesh.material
-            }]
-        }));
-        offset += mesh_bytes(mesh);
+            other => meshes[other].primitives[0].indices,
+        };
+        let attributes = Attributes { position, normal };
+        let primitives = [Primitive { attributes, indices, material: mesh.material }];
+        meshes.push(MeshEntry { name: &mesh.name, primitives });
     }
-    let nodes: Vec<Value> = model
-        .nodes
-        .iter()
-        .map(|node| match node.matrix {
-            None => json!({ "name": node.name, "mesh": node.mesh }),
-            Some(m) => json!({ "name": node.name, "mesh": node.mesh, "matrix": m }),
-        })
-        .collect();
-    let materials: Vec<Value> = model
-        .materials
-        .iter()
-        .map(|m| {
-            json!({
-                "name": m.name,
-                "pbrMetallicRoughness": {
-                    "baseColorFactor": m.base_color.map(f64::from),
-                    "metallicFactor": 0.0, "roughnessFactor": 0.8
-                }
-            })
-        })
-        .collect();
-    json!({
-        "asset": { "version": "2.0", "generator": "occluster synth" },
-        "scene": 0,
-        "scenes": [{ "nodes": (0..model.nodes.len()).collect::<Vec<_>>() }],
-        "nodes": nodes, "meshes": meshes, "materials": materials,
-        "accessors": accessors, "bufferViews": views,
-        "buffers": [{ "byteLength": offset }]
-    })
+    let nodes = model.nodes.iter();
+    Document {
+        asset: Asset { version: "2.0", generator: "occluster synth" },
+        scene: 0,
+        scenes: [Scene { nodes: (0..model.nodes.len()).collect() }],
+        nodes: nodes.map(|n| Node { name: &n.name, mesh: n.mesh, matrix: n.matrix }).collect(),
+        meshes,
+        materials: model.materials.iter().map(material).collect(),
+        accessors,
+        buffer_views: views,
+        buffers: [Buffer { byte_length: layout.bytes() }],
+    }
+}
+
+fn bounds(mesh: &Mesh) -> [[f64; 3]; 2] {
+    let (mut low, mut high) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
+    for p in &mesh.positions {
+        for k in 0..3 {
+            low[k] = low[k].min(p[k]);
+            high[k] = high[k].max(p[k]);
+        }
+    }
+    [low, high].map(|corner| corner.map(f64::from))
+}
+
+fn material(material: &Material) -> MaterialEntry<'_> {
+    let base_color_factor = material.base_color.map(f64::from);
+    let look = Look { base_color_factor, metallic_factor: 0.0, roughness_factor: 0.8 };
+    MaterialEntry { name: &material.name, pbr_metallic_roughness: look }
 }

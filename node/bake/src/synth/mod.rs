@@ -11,8 +11,12 @@ mod park;
 mod pipes;
 mod plant;
 mod random;
+mod sprawl;
+mod town;
 
 pub use glb::{GlbError, write_glb};
+pub use sprawl::{MAX_BUILDINGS, sprawl};
+pub use town::{Town, TownError, write_town};
 
 use builder::Builder;
 

@@ -158,3 +158,64 @@ fn a_file_that_cannot_be_written_leaves_nothing() {
     assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
     assert!(write_glb(&model, &folder.path().join("missing/x.glb")).is_err());
 }
+
+#[test]
+fn a_sprawl_has_exactly_the_buildings_asked_for_each_its_own_mesh() {
+    let folder = tempfile::tempdir().unwrap();
+    for (buildings, extent) in [(1, 1.0), (2, 1e6), (37, 500.0), (1000, 600.0)] {
+        let model = sprawl(buildings, extent, SEED);
+        assert_eq!(model.nodes.len(), buildings as usize);
+        assert_eq!(model.triangles(), 12 * u64::from(buildings));
+        model.meshes.iter().for_each(assert_sound);
+        let bytes = bytes_of(&model, folder.path());
+        let gltf::Gltf { document, blob } = gltf::Gltf::from_slice(&bytes).unwrap();
+        let mut boxes = Vec::new();
+        for (node, mesh) in document.nodes().zip(&model.meshes) {
+            let primitive = node.mesh().unwrap().primitives().next().unwrap();
+            let reader = primitive.reader(|_| blob.as_deref());
+            assert!(reader.read_positions().unwrap().eq(mesh.positions.iter().copied()));
+            assert!(reader.read_normals().unwrap().eq(mesh.normals.iter().copied()));
+            assert!(reader.read_indices().unwrap().into_u32().eq(mesh.indices.iter().copied()));
+            let points = mesh.positions.iter().map(|p| glam::Vec3::from(*p).as_dvec3());
+            boxes.push(geometry::bounds::Aabb::of(points));
+        }
+        let used: HashSet<usize> = document.nodes().map(|n| n.mesh().unwrap().index()).collect();
+        assert_eq!(used.len(), buildings as usize);
+        for (i, a) in boxes.iter().enumerate() {
+            assert!(a.min.min_element() >= 0.0 && a.max.x.max(a.max.z) <= extent);
+            let apart = |b: &geometry::bounds::Aabb| {
+                a.max.x < b.min.x || b.max.x < a.min.x || a.max.z < b.min.z || b.max.z < a.min.z
+            };
+            assert!(boxes[i + 1..].iter().all(apart), "building {i} of {buildings}");
+        }
+        assert!(bytes == bytes_of(&sprawl(buildings, extent, SEED), folder.path()));
+    }
+    let model = sprawl(500, 600.0, SEED);
+    let top = |m: &Mesh| m.positions.iter().fold(0.0f32, |top, p| top.max(p[1])).to_bits();
+    let heights: HashSet<u32> = model.meshes.iter().map(top).collect();
+    assert!(heights.len() > 400, "{} heights", heights.len());
+}
+
+#[test]
+fn what_meshes_have_in_common_is_written_once() {
+    let folder = tempfile::tempdir().unwrap();
+    let [one, many] = [1, 1001].map(|n| bytes_of(&sprawl(n, 600.0, SEED), folder.path()));
+    // 24 positions of a box are 288 bytes; its entries in the document take the rest.
+    assert!((many.len() - one.len()) / 1000 < 288 + 400, "{} bytes", many.len());
+    // Equal positions are no reason: other normals, other indices and long ones stay apart.
+    let mut model = sprawl(3, 10.0, SEED);
+    model.meshes[1].normals[0] = [0.0, 0.0, 1.0];
+    model.meshes[2].indices.reverse();
+    let copies = model.meshes[0].positions.repeat(70_000 / 24);
+    model.meshes[0].normals = model.meshes[0].normals.repeat(70_000 / 24);
+    model.meshes[0].positions = copies;
+    let bytes = bytes_of(&model, folder.path());
+    let gltf::Gltf { document, blob } = gltf::Gltf::from_slice(&bytes).unwrap();
+    for (read, mesh) in document.meshes().zip(&model.meshes) {
+        let primitive = read.primitives().next().unwrap();
+        let reader = primitive.reader(|_| blob.as_deref());
+        assert!(reader.read_positions().unwrap().eq(mesh.positions.iter().copied()));
+        assert!(reader.read_normals().unwrap().eq(mesh.normals.iter().copied()));
+        assert!(reader.read_indices().unwrap().into_u32().eq(mesh.indices.iter().copied()));
+    }
+}
