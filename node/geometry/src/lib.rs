@@ -3,6 +3,7 @@
 pub mod bounds;
 pub mod deviation;
 pub mod frustum;
+pub mod hausdorff;
 pub mod hierarchy;
 pub mod mesh;
 pub mod partition;
