@@ -1,6 +1,7 @@
 //! A small scene file for tests: a root over solid boxes, all instances of one cube.
 
-use protocol::format::{Finished, Hlod, Level, NONE, SceneInfo, SceneWriter, Transform, Vertex};
+use protocol::format::{Class, Finished, Hlod, Level, NONE, Part, SceneInfo, SceneWriter};
+use protocol::format::{Transform, Vertex, Vertices};
 use std::path::Path;
 
 /// A solid box, and the bounds its hlod claims, which may be wider.
@@ -51,8 +52,9 @@ pub(crate) fn write(path: &Path, pieces: &[Piece]) -> Finished {
             indices.extend([base, base | u, base | v, base | u, base | u | v, base | v]);
         }
     }
-    let blob = writer.add_blob([0.0; 3], 1.0, &vertices, &indices).unwrap().0;
     let triangles = (indices.len() / 3) as u32;
+    let (vertices, classes) = (Vertices::Plain(&vertices), Class::OpaqueDouble.all(triangles));
+    let blob = writer.add_blob([0.0; 3], 1.0, vertices, &indices, classes).unwrap().0;
     let all = triangles * pieces.len() as u32;
     let extreme = |pick: fn(f64, f64) -> f64, corner: usize| {
         let corners = pieces.iter().map(|piece| piece.bounds[corner]);
@@ -69,7 +71,7 @@ pub(crate) fn write(path: &Path, pieces: &[Piece]) -> Finished {
         object: NONE,
         source_triangles: u64::from(all),
     }];
-    let (mut levels, mut transforms) = (Vec::new(), Vec::new());
+    let (mut levels, mut parts, mut transforms) = (Vec::new(), Vec::new(), Vec::new());
     for (place, piece) in (0..).zip(pieces) {
         let [min, max] = piece.solid;
         let mut linear = [[0.0; 3]; 3];
@@ -77,7 +79,8 @@ pub(crate) fn write(path: &Path, pieces: &[Piece]) -> Finished {
             linear[k][k] = max[k] - min[k];
         }
         transforms.push(Transform { linear, translation: min });
-        levels.push(Level { error: 0.0, blob, transform: place, triangles, reserved: 0 });
+        levels.push(Level { error: 0.0, first_part: place, part_count: 1, triangles, reserved: 0 });
+        parts.push(Part { blob, transform: place });
         hlods.push(Hlod {
             min: piece.bounds[0],
             max: piece.bounds[1],
@@ -95,9 +98,8 @@ pub(crate) fn write(path: &Path, pieces: &[Piece]) -> Finished {
         source_triangles: u64::from(all),
         unique_triangles: u64::from(triangles),
         objects: pieces.len() as u32,
-        reserved: 0,
         seed: 1,
-        reserved2: 0,
+        ..SceneInfo::default()
     };
-    writer.finish(info, hlods, levels, transforms).unwrap()
+    writer.finish(info, hlods, levels, parts, transforms).unwrap()
 }

@@ -141,7 +141,9 @@ impl From<RoleError> for NodeError {
     fn from(error: RoleError) -> Self {
         let kind = match &error {
             RoleError::Backend(_) => FailureKind::Unavailable,
-            RoleError::Geometry(StoreError::Damaged { .. }) => FailureKind::BadData,
+            RoleError::Geometry(StoreError::Damaged { .. } | StoreError::DamagedTexture { .. }) => {
+                FailureKind::BadData
+            }
             RoleError::Geometry(StoreError::Unknown { .. }) => FailureKind::Internal,
             RoleError::ForeignHlod(_) => FailureKind::Protocol,
         };

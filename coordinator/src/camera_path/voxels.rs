@@ -2,7 +2,7 @@
 
 use super::generate::GenerateError;
 use super::grid::Grid;
-use protocol::format::{Hlod, Level, Skeleton, Transform, Vertex};
+use protocol::format::{Hlod, Level, Part, Skeleton, Transform, Vertex};
 use protocol::id::{BlobId, HlodId};
 
 /// Levels are used whose error is below this share of a cell.
@@ -26,10 +26,12 @@ pub(super) fn fill<B: AsRef<[u8]>, E: std::error::Error + Send + Sync + 'static>
     while let Some(id) = open.pop() {
         let hlod = skeleton.hlod(id);
         if let Some(level) = fitting_level(skeleton, hlod, tolerance) {
-            let blob = BlobId(level.blob);
-            let bytes =
-                read_blob(blob).map_err(|e| GenerateError::Blob { blob, source: Box::new(e) })?;
-            fill_level(grid, skeleton, level, bytes.as_ref())?;
+            for part in skeleton.parts_of(level) {
+                let blob = BlobId(part.blob);
+                let bytes = read_blob(blob)
+                    .map_err(|e| GenerateError::Blob { blob, source: Box::new(e) })?;
+                fill_part(grid, skeleton, part, bytes.as_ref())?;
+            }
         } else {
             open.extend(skeleton.children_of(hlod));
         }
@@ -45,23 +47,23 @@ fn fitting_level<'a>(skeleton: &'a Skeleton, hlod: &Hlod, tolerance: f64) -> Opt
     if hlod.child_count == 0 { fitting.or(levels.first()) } else { fitting }
 }
 
-fn fill_level(
+fn fill_part(
     grid: &mut Grid,
     skeleton: &Skeleton,
-    level: &Level,
+    part: &Part,
     bytes: &[u8],
 ) -> Result<(), GenerateError> {
-    let id = BlobId(level.blob);
+    let id = BlobId(part.blob);
     let bad = |reason: &'static str| GenerateError::Geometry { blob: id, reason };
     let blob = skeleton.blob(id);
-    let placement: Transform = skeleton.transform_of(level);
-    let vertex_bytes = blob.vertices as usize * size_of::<Vertex>();
+    let placement: Transform = skeleton.transform_of(part);
+    let one = blob.vertex_layout().vertex_bytes();
     let index_bytes = blob.triangles as usize * 6;
-    let (vertices, rest) = bytes.split_at_checked(vertex_bytes).ok_or(bad("too short"))?;
+    let (vertices, rest) = bytes.split_at_checked(blob.vertex_bytes()).ok_or(bad("too short"))?;
     let indices = rest.get(..index_bytes).ok_or(bad("too short"))?;
     let word = |b: &[u8]| u32::from_le_bytes([b[0], b[1], b[2], b[3]]);
     let points: Vec<[f64; 3]> = vertices
-        .chunks_exact(size_of::<Vertex>())
+        .chunks_exact(one)
         .map(|v| {
             let vertex = Vertex { position: [word(v), word(&v[4..])], normal: 0, color: 0 };
             let g = vertex.grid();

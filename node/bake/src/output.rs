@@ -7,7 +7,9 @@ use crate::pieces::{Piece, Plan};
 use crate::source::Source;
 use crate::summary::{StageSeconds, Summary, TreeDepth};
 use geometry::hierarchy::Tree;
-use protocol::format::{Hlod, Level, NONE, SceneInfo, SceneWriter, WriteError};
+use protocol::format::{
+    Class, Hlod, Level, NONE, Part, SceneInfo, SceneWriter, Vertices, WriteError,
+};
 use protocol::id::BlobId;
 use std::path::Path;
 use std::time::Instant;
@@ -16,7 +18,7 @@ use std::time::Instant;
 pub(crate) struct Output {
     writer: SceneWriter,
     /// By node: the hlod, its links and first level still open, and its levels.
-    hlods: Vec<Option<(Hlod, Vec<Level>)>>,
+    hlods: Vec<Option<(Hlod, Vec<(Level, Part)>)>>,
     written_triangles: u64,
     /// Spent writing.
     pub(crate) seconds: f64,
@@ -32,7 +34,9 @@ impl Output {
     /// Writes one mesh.
     pub(crate) fn write_mesh(&mut self, mesh: &Packed) -> Result<BlobId, WriteError> {
         self.written_triangles += u64::from(mesh.triangles());
-        self.writer.add_blob(mesh.origin, mesh.step, &mesh.vertices, &mesh.indices)
+        let (vertices, classes) = (&mesh.vertices, Class::OpaqueDouble.all(mesh.triangles()));
+        let vertices = Vertices::Plain(vertices);
+        self.writer.add_blob(mesh.origin, mesh.step, vertices, &mesh.indices, classes)
     }
 
     /// Writes an hlod's meshes and keeps its entry.
@@ -45,7 +49,8 @@ impl Output {
                 Geometry::Written(blob) => blob,
                 Geometry::Packed(mesh) => self.write_mesh(&mesh)?,
             };
-            levels.push(Level { error, blob: blob.0, transform, triangles, reserved: 0 });
+            let level = Level { error, first_part: 0, part_count: 1, triangles, reserved: 0 };
+            levels.push((level, Part { blob: blob.0, transform }));
         }
         let hlod = Hlod {
             min: built.bounds.min.to_array(),
@@ -72,7 +77,7 @@ impl Output {
         options: &Options,
     ) -> Result<Summary, WriteError> {
         let mut hlods = Vec::with_capacity(tree.nodes.len());
-        let mut levels = Vec::new();
+        let (mut levels, mut parts) = (Vec::new(), Vec::new());
         let mut depths: Vec<TreeDepth> = Vec::new();
         let by_node = self.hlods.into_iter().zip(&tree.nodes).zip(tree.depths());
         for ((written, node), depth) in by_node {
@@ -87,9 +92,12 @@ impl Output {
             let row = &mut depths[depth as usize];
             row.hlods += 1;
             row.leaves += u64::from(node.item.is_some());
-            row.finest_triangles += own.first().map_or(0, |level| u64::from(level.triangles));
-            row.coarsest_triangles += own.last().map_or(0, |level| u64::from(level.triangles));
-            levels.extend(own);
+            row.finest_triangles += own.first().map_or(0, |(level, _)| u64::from(level.triangles));
+            row.coarsest_triangles += own.last().map_or(0, |(level, _)| u64::from(level.triangles));
+            for (level, part) in own {
+                levels.push(Level { first_part: parts.len() as u32, ..level });
+                parts.push(part);
+            }
             hlods.push(hlod);
         }
         let source_triangles = hlods[0].source_triangles;
@@ -99,9 +107,8 @@ impl Output {
             source_triangles,
             unique_triangles,
             objects: source.objects.len() as u32,
-            reserved: 0,
             seed: options.seed,
-            reserved2: 0,
+            ..SceneInfo::default()
         };
         let summary = Summary {
             source_triangles,
@@ -120,7 +127,7 @@ impl Output {
             peak_memory_bytes: None,
             notes: source.notes.iter().chain(&plan.notes).cloned().collect(),
         };
-        let finished = self.writer.finish(info, hlods, levels, plan.transforms.clone())?;
+        let finished = self.writer.finish(info, hlods, levels, parts, plan.transforms.clone())?;
         let digest = finished.digest.iter().map(|byte| format!("{byte:02x}")).collect();
         Ok(Summary { file_bytes: finished.bytes, digest, ..summary })
     }

@@ -2,7 +2,8 @@
 
 use crate::store::Store;
 use bytemuck::Zeroable;
-use protocol::format::{Finished, Hlod, Level, NONE, SceneInfo, SceneWriter, Transform, Vertex};
+use protocol::format::{Class, Finished, Hlod, Level, NONE, Part, SceneInfo, SceneWriter};
+use protocol::format::{Transform, Vertex, Vertices, Wrap};
 use std::path::Path;
 use tempfile::TempDir;
 
@@ -25,9 +26,16 @@ pub(crate) fn write_with(path: &Path, seed: u64, change: impl FnOnce(&mut [Hlod]
     };
     let corner = grid(&[[0, 0, 0], [4, 0, 0], [0, 4, 0], [0, 0, 4]]);
     let indices = [0, 1, 2, 0, 2, 3];
-    let fine = writer.add_blob([0.0; 3], 0.25, &corner, &indices).unwrap().0;
+    let mut add = |step, vertices: &[Vertex], indices: &[u16]| {
+        let classes = Class::OpaqueDouble.all(indices.len() as u32 / 3);
+        writer.add_blob([0.0; 3], step, Vertices::Plain(vertices), indices, classes).unwrap().0
+    };
+    let fine = add(0.25, &corner, &indices);
     let wide = grid(&[[0, 0, 0], [5, 0, 0], [0, 1, 1]]);
-    let coarse = writer.add_blob([0.0; 3], 1.0, &wide, &[2, 1, 0]).unwrap().0;
+    let coarse = add(1.0, &wide, &[2, 1, 0]);
+
+    // Nothing shows it; what is read and checked of a file holds for it all the same.
+    writer.add_texture(1, [Wrap::Repeat; 2], &[1, 2, 3, 4]).unwrap();
 
     let leaf = Hlod {
         min: [0.0; 3],
@@ -50,15 +58,16 @@ pub(crate) fn write_with(path: &Path, seed: u64, change: impl FnOnce(&mut [Hlod]
     };
     let instance =
         Hlod { min: [4.0, 0.0, 0.0], max: [5.0, 1.0, 1.0], first_level: 2, object: 1, ..leaf };
-    let level = |error, blob, transform, triangles| Level {
+    let level = |error, first_part, triangles| Level {
         error,
-        blob,
-        transform,
+        first_part,
+        part_count: 1,
         triangles,
         reserved: 0,
     };
-    let levels =
-        vec![level(0.5, coarse, NONE, 1), level(0.0, fine, NONE, 2), level(0.0, fine, 0, 2)];
+    let levels = vec![level(0.5, 0, 1), level(0.0, 1, 2), level(0.0, 2, 2)];
+    let part = |blob, transform| Part { blob, transform };
+    let parts = vec![part(coarse, NONE), part(fine, NONE), part(fine, 0)];
     let quarter = Transform {
         linear: [[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]],
         translation: [5.0, 0.0, 0.0],
@@ -73,7 +82,7 @@ pub(crate) fn write_with(path: &Path, seed: u64, change: impl FnOnce(&mut [Hlod]
     };
     let mut hlods = vec![root, leaf, instance];
     change(&mut hlods);
-    writer.finish(info, hlods, levels, vec![quarter]).unwrap()
+    writer.finish(info, hlods, levels, parts, vec![quarter]).unwrap()
 }
 
 /// The scene, opened; it lives as long as the folder.

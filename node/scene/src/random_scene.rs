@@ -7,7 +7,9 @@ use bytemuck::Zeroable;
 use geometry::bounds::Aabb;
 use glam::DVec3;
 use protocol::camera::Camera;
-use protocol::format::{Blob, Hlod, Level, NONE, SceneInfo, Skeleton, Transform, Vertex};
+use protocol::format::{
+    Blob, Class, Hlod, Level, NONE, Part, SceneInfo, Skeleton, Transform, Vertex,
+};
 use protocol::id::BlobId;
 use protocol::settings::PictureSize;
 use rand::{Rng, SeedableRng, rngs::StdRng};
@@ -30,8 +32,15 @@ impl RandomScene {
     /// `scale * 2^-20`, `scale` being a power of two.
     pub(crate) fn new(seed: u64, depth: u32, scale: f64) -> Self {
         let info = SceneInfo::zeroed();
-        let (hlods, levels, blobs, transforms) = (vec![], vec![], vec![], vec![]);
-        let skeleton = Skeleton { info, hlods, levels, blobs, transforms };
+        let skeleton = Skeleton {
+            info,
+            hlods: vec![],
+            levels: vec![],
+            parts: vec![],
+            blobs: vec![],
+            transforms: vec![],
+            textures: vec![],
+        };
         let rng = StdRng::seed_from_u64(seed);
         let mut scene = Self { skeleton, blob_bytes: vec![], rng, scale };
         let inner = (FANOUT.pow(depth) - 1) / (FANOUT - 1);
@@ -84,18 +93,19 @@ impl RandomScene {
         let origin = self.grid_point(0.5);
         let blob = self.mesh(origin, step);
         let placement = if self.rng.random_bool(0.3) { self.placement() } else { NONE };
-        let level = Level {
-            error: 0.0,
-            blob,
-            transform: placement,
-            triangles: self.skeleton.blobs[blob as usize].triangles,
-            reserved: 0,
-        };
-        let bounds = self.bounds_of(&level);
+        let mut fine = vec![Part { blob, transform: placement }];
+        let mut bounds = self.bounds_of(&fine[0]);
+        // Some leaves hold two objects, some the same mesh twice.
+        if self.rng.random_bool(0.3) {
+            let blob = if self.rng.random() { blob } else { self.mesh(origin, step) };
+            let second = Part { blob, transform: self.placement() };
+            bounds = bounds.union(self.bounds_of(&second));
+            fine.push(second);
+        }
         let coarse = self.mesh(bounds.min.to_array(), step_within(&bounds, self.scale));
-        let coarse = self.level(coarse, self.scale * 1e-3);
+        let coarse = Part { blob: coarse, transform: NONE };
         let bounds = bounds.union(self.bounds_of(&coarse));
-        self.finish(id, bounds, vec![level, coarse], 100);
+        self.finish(id, bounds, vec![(0.0, fine), (self.scale * 1e-3, vec![coarse])], 100);
     }
 
     /// An inner hlod; the stand-in of some, a mesh within the box, is missing.
@@ -113,23 +123,35 @@ impl RandomScene {
         let mut levels = vec![];
         if self.rng.random_bool(0.7) {
             let blob = self.mesh(bounds.min.to_array(), step_within(&bounds, self.scale));
-            levels.push(self.level(blob, error * 1.5));
+            levels.push((error * 1.5, vec![Part { blob, transform: NONE }]));
         }
         self.finish(id, bounds, levels, triangles);
     }
 
-    fn level(&self, blob: u32, error: f64) -> Level {
-        let triangles = self.skeleton.blobs[blob as usize].triangles;
-        Level { error, blob, transform: NONE, triangles, reserved: 0 }
-    }
-
-    fn finish(&mut self, id: usize, bounds: Aabb, levels: Vec<Level>, source_triangles: u64) {
+    /// Levels are errors with parts.
+    fn finish(
+        &mut self,
+        id: usize,
+        bounds: Aabb,
+        levels: Vec<(f64, Vec<Part>)>,
+        source_triangles: u64,
+    ) {
         let hlod = &mut self.skeleton.hlods[id];
         (hlod.min, hlod.max) = (bounds.min.to_array(), bounds.max.to_array());
         hlod.first_level = self.skeleton.levels.len() as u32;
         hlod.level_count = levels.len() as u32;
         hlod.source_triangles = source_triangles;
-        self.skeleton.levels.extend(levels);
+        for (error, parts) in levels {
+            let triangles = |part: &Part| self.skeleton.blobs[part.blob as usize].triangles;
+            self.skeleton.levels.push(Level {
+                error,
+                first_part: self.skeleton.parts.len() as u32,
+                part_count: parts.len() as u32,
+                triangles: parts.iter().map(triangles).sum(),
+                reserved: 0,
+            });
+            self.skeleton.parts.extend(parts);
+        }
     }
 
     fn placement(&mut self) -> u32 {
@@ -143,10 +165,10 @@ impl RandomScene {
         self.skeleton.transforms.len() as u32 - 1
     }
 
-    fn bounds_of(&self, level: &Level) -> Aabb {
-        let blob = &self.skeleton.blobs[level.blob as usize];
-        let placement = self.skeleton.transform_of(level);
-        let vertices = &self.blob_bytes[level.blob as usize][..blob.vertices as usize * 16];
+    fn bounds_of(&self, part: &Part) -> Aabb {
+        let blob = &self.skeleton.blobs[part.blob as usize];
+        let placement = self.skeleton.transform_of(part);
+        let vertices = &self.blob_bytes[part.blob as usize][..blob.vertices as usize * 16];
         Aabb::of(vertices.as_chunks::<16>().0.iter().map(|bytes| {
             let grid = bytemuck::pod_read_unaligned::<Vertex>(bytes).grid();
             let p = std::array::from_fn(|k| blob.origin[k] + f64::from(grid[k]) * blob.step);
@@ -189,7 +211,15 @@ impl RandomScene {
         }
         let (vertices, triangles) = (grid.len() as u32, indices.len() as u32 / 3);
         bytes.extend(indices.drain(..).flat_map(u16::to_le_bytes));
-        self.skeleton.blobs.push(Blob { origin, step, vertices, triangles, ..Blob::zeroed() });
+        let classes = Class::OpaqueDouble.all(triangles);
+        self.skeleton.blobs.push(Blob {
+            origin,
+            step,
+            vertices,
+            triangles,
+            classes,
+            ..Blob::zeroed()
+        });
         self.blob_bytes.push(bytes);
         self.skeleton.blobs.len() as u32 - 1
     }

@@ -29,6 +29,14 @@ pub enum StoreError {
         /// What is wrong.
         source: BlobDamage,
     },
+    /// The bytes of a texture are wrong (exit code 65).
+    #[error("{}: texture {texture} is damaged; copy or bake the file again", path.display())]
+    DamagedTexture {
+        /// The file.
+        path: PathBuf,
+        /// The texture, index into [`Skeleton::textures`].
+        texture: u32,
+    },
     /// No such blob (exit code 70: the skeleton was checked, so the asker made it up).
     #[error("{}: there is no blob {blob}", path.display())]
     Unknown {
@@ -46,6 +54,7 @@ pub struct Store {
     map: Mmap,
     skeleton: Arc<Skeleton>,
     geometry: Range<u64>,
+    pixels: Range<u64>,
     digest: Digest,
     /// A bit a blob: its contents have been checked.
     checked: Vec<AtomicU64>,
@@ -66,13 +75,14 @@ impl Store {
         let map = map(&file).map_err(to_io)?;
         // The parser holds the header's lengths against the map's before it looks further.
         let scene = parse(&map).map_err(|e| OpenError::bad(path, e))?;
-        let SceneFile { skeleton, geometry, digest, file_bytes: _ } = scene;
+        let SceneFile { skeleton, geometry, pixels, digest, file_bytes: _ } = scene;
         let words = skeleton.blobs.len().div_ceil(64);
         Ok(Self {
             path: path.to_path_buf(),
             map,
             skeleton: Arc::new(skeleton),
             geometry,
+            pixels,
             digest,
             checked: std::iter::repeat_with(AtomicU64::default).take(words).collect(),
         })
@@ -103,6 +113,26 @@ impl Store {
         &self.map[self.geometry.start as usize..self.geometry.end as usize]
     }
 
+    /// The pixel section.
+    pub(crate) fn pixels(&self) -> &[u8] {
+        &self.map[self.pixels.start as usize..self.pixels.end as usize]
+    }
+
+    /// A texture's mips, 64-byte aligned ([`protocol::format::texture`]), checked at every call: there
+    /// is one for each backend.
+    ///
+    /// # Panics
+    /// If the scene has no such texture.
+    pub fn texture(&self, index: u32) -> Result<&[u8], StoreError> {
+        let texture = &self.skeleton.textures[index as usize];
+        let bytes = &self.pixels()[texture.offset as usize..][..texture.bytes as usize];
+        if texture.is_made_of(bytes) {
+            Ok(bytes)
+        } else {
+            Err(StoreError::DamagedTexture { path: self.path.clone(), texture: index })
+        }
+    }
+
     /// A blob's bytes, 64-byte aligned: vertices, then indices ([`protocol::format::vertex`]).
     ///
     /// The first call for a blob reads all of it and checks it; what it returns has the right
@@ -115,7 +145,8 @@ impl Store {
         let (word, bit) = (&self.checked[id.index() / 64], 1 << (id.index() % 64));
         // Two threads may both check a blob; the bit guards no other memory, so relaxed will do.
         if word.load(Ordering::Relaxed) & bit == 0 {
-            check_blob(blob, bytes).map_err(|source| StoreError::Damaged {
+            let textures = self.skeleton.textures.len() as u32;
+            check_blob(blob, bytes, textures).map_err(|source| StoreError::Damaged {
                 path: self.path.clone(),
                 blob: id,
                 source,

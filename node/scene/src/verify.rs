@@ -5,7 +5,7 @@
 
 use crate::store::{Store, StoreError};
 use protocol::format::mesh::vertices_of;
-use protocol::format::{Blob, Hlod, Level, Transform, Vertex, Violation, check, digest};
+use protocol::format::{Blob, Hlod, Transform, Vertex, Violation, check, digest};
 use protocol::id::{BlobId, HlodId};
 use rayon::prelude::*;
 use std::path::PathBuf;
@@ -19,16 +19,18 @@ pub struct Verified {
     pub hlods: u64,
     /// Meshes whose contents were read.
     pub blobs: u64,
+    /// Textures whose contents were read.
+    pub textures: u64,
     /// Levels whose vertices were placed.
     pub levels: u64,
-    /// Vertices that lie in their box, a mesh counted for each level that shows it.
+    /// Vertices that lie in their box, a mesh counted for each part that shows it.
     pub vertices: u64,
 }
 
 /// What is wrong with a scene file (exit code 65).
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum VerifyError {
-    /// A blob is damaged.
+    /// A blob or a texture is damaged.
     #[error(transparent)]
     Blob(#[from] StoreError),
     /// Bytes changed that no other check covers.
@@ -36,6 +38,14 @@ pub enum VerifyError {
     Digest {
         /// The file.
         path: PathBuf,
+    },
+    /// Bytes behind a texture are not zero.
+    #[error("{}: the padding behind texture {texture} is not zero; copy or bake the file again", path.display())]
+    TexturePadding {
+        /// The file.
+        path: PathBuf,
+        /// The texture.
+        texture: u32,
     },
     /// Bytes between blobs are not zero.
     #[error("{}: the padding behind blob {blob} is not zero; copy or bake the file again", path.display())]
@@ -55,7 +65,8 @@ pub enum VerifyError {
     },
     /// Geometry leaves its box, so culling could lose it.
     #[error(
-        "{}: vertex {vertex} of level {level} of hlod {hlod} lies outside its box; bake the scene again",
+        "{}: vertex {vertex} of part {part} of level {level} of hlod {hlod} lies outside its box; \
+         bake the scene again",
         path.display()
     )]
     OutsideBox {
@@ -65,6 +76,8 @@ pub enum VerifyError {
         hlod: HlodId,
         /// Which of the hlod's levels, 0 the finest.
         level: u32,
+        /// Which of the level's parts.
+        part: u32,
         /// The vertex.
         vertex: u32,
     },
@@ -79,6 +92,8 @@ pub fn verify(store: &Store) -> Result<Verified, VerifyError> {
     // Blobs come before the digest: they say where the damage is, it only says that there is some.
     let ids = (0..skeleton.blobs.len() as u32).into_par_iter().map(BlobId);
     first_error(ids.map(|id| check_blob_and_padding(store, id)))?;
+    let textures = (0..skeleton.textures.len() as u32).into_par_iter();
+    first_error(textures.map(|index| check_texture_and_padding(store, index)))?;
     if digest(store.bytes()) != Some(store.digest()) {
         return Err(VerifyError::Digest { path: path() });
     }
@@ -88,6 +103,7 @@ pub fn verify(store: &Store) -> Result<Verified, VerifyError> {
         bytes: store.bytes().len() as u64,
         hlods: skeleton.hlods.len() as u64,
         blobs: skeleton.blobs.len() as u64,
+        textures: skeleton.textures.len() as u64,
         levels: skeleton.levels.len() as u64,
         vertices: counts.iter().sum(),
     })
@@ -114,26 +130,42 @@ fn check_blob_and_padding(store: &Store, id: BlobId) -> Result<(), VerifyError> 
     Ok(())
 }
 
-/// Places every vertex of every level; returns how many.
+fn check_texture_and_padding(store: &Store, index: u32) -> Result<(), VerifyError> {
+    store.texture(index)?;
+    let texture = &store.skeleton().textures[index as usize];
+    let next = store.skeleton().textures.get(index as usize + 1).map(|t| t.offset as usize);
+    let end = next.unwrap_or(store.pixels().len());
+    let padding = &store.pixels()[(texture.offset + texture.bytes) as usize..end];
+    if padding.iter().any(|&b| b != 0) {
+        let path = store.path().to_path_buf();
+        return Err(VerifyError::TexturePadding { path, texture: index });
+    }
+    Ok(())
+}
+
+/// Places every vertex of every part of every level; returns how many.
 ///
 /// A hlod's box lies inside its parent's, so its own levels suffice.
 fn check_box(store: &Store, id: HlodId, hlod: &Hlod) -> Result<u64, VerifyError> {
     let skeleton = store.skeleton();
     let mut count = 0;
     for (level_index, level) in skeleton.levels_of(hlod).iter().enumerate() {
-        let Level { blob, .. } = *level;
-        let (mesh, bytes) = (skeleton.blob(BlobId(blob)), store.blob(BlobId(blob))?);
-        let transform = skeleton.transform_of(level);
-        let stray = |v: Vertex| !holds(hlod, &transform, position(mesh, &v));
-        if let Some(vertex) = vertices_of(mesh, bytes).position(stray) {
-            return Err(VerifyError::OutsideBox {
-                path: store.path().to_path_buf(),
-                hlod: id,
-                level: level_index as u32,
-                vertex: vertex as u32,
-            });
+        for (part_index, part) in skeleton.parts_of(level).iter().enumerate() {
+            let id_of_mesh = BlobId(part.blob);
+            let (mesh, bytes) = (skeleton.blob(id_of_mesh), store.blob(id_of_mesh)?);
+            let transform = skeleton.transform_of(part);
+            let stray = |v: Vertex| !holds(hlod, &transform, position(mesh, &v));
+            if let Some(vertex) = vertices_of(mesh, bytes).position(stray) {
+                return Err(VerifyError::OutsideBox {
+                    path: store.path().to_path_buf(),
+                    hlod: id,
+                    level: level_index as u32,
+                    part: part_index as u32,
+                    vertex: vertex as u32,
+                });
+            }
+            count += u64::from(mesh.vertices);
         }
-        count += u64::from(mesh.vertices);
     }
     Ok(count)
 }
@@ -177,7 +209,7 @@ mod tests {
         let verified = verify(&store).unwrap();
         assert_eq!(verified.bytes, store.bytes().len() as u64);
         assert_eq!((verified.hlods, verified.blobs, verified.levels), (3, 2, 3));
-        assert_eq!(verified.vertices, 3 + 4 + 4);
+        assert_eq!((verified.vertices, verified.textures), (3 + 4 + 4, 1));
     }
 
     #[test]
@@ -201,11 +233,26 @@ mod tests {
         let (folder, store) = fixture::store();
         let mut bytes = store.bytes().to_vec();
         let blob = store.skeleton().blobs[0];
-        bytes[256 + (blob.offset + blob.bytes) as usize] = 1;
+        bytes[384 + (blob.offset + blob.bytes) as usize] = 1;
         let path = folder.path().join("padded.occ");
         std::fs::write(&path, &bytes).unwrap();
         let error = verify(&Store::open(&path).unwrap()).unwrap_err();
         assert!(matches!(error, VerifyError::Padding { blob: BlobId(0), .. }), "{error}");
+    }
+
+    #[test]
+    fn a_damaged_texture_and_the_padding_behind_it_are_named() {
+        let (folder, store) = fixture::store();
+        let path = folder.path().join("spoilt.occ");
+        let spoilt = |at: usize| {
+            let mut bytes = store.bytes().to_vec();
+            bytes[384 + store.geometry().len() + at] ^= 1;
+            std::fs::write(&path, &bytes).unwrap();
+            verify(&Store::open(&path).unwrap()).unwrap_err()
+        };
+        let damaged = StoreError::DamagedTexture { path: path.clone(), texture: 0 };
+        assert_eq!(spoilt(3), VerifyError::Blob(damaged));
+        assert_eq!(spoilt(4), VerifyError::TexturePadding { path: path.clone(), texture: 0 });
     }
 
     #[test]
@@ -214,7 +261,7 @@ mod tests {
         let mut bytes = store.bytes().to_vec();
         bytes[40] ^= 1;
         bytes[28..32].fill(0);
-        let crc = crc32c(&bytes[..256]);
+        let crc = crc32c(&bytes[..384]);
         bytes[28..32].copy_from_slice(&crc.to_le_bytes());
         let path = folder.path().join("renamed.occ");
         std::fs::write(&path, &bytes).unwrap();

@@ -3,190 +3,32 @@
 //! What passes can be walked without bounds in mind: indices lie in range, the tree is a tree of
 //! limited depth, and errors grow towards the root.
 
+mod rule;
+
+use super::class::Class;
 use super::mesh::mesh_bytes;
-use super::vertex::MAX_BLOB_VERTICES;
-use super::{ALIGNMENT, Hlod, NONE, Skeleton};
+use super::texture::{self, Texture, Wrap};
+use super::vertex::{Layout, MAX_BLOB_VERTICES};
+use super::{ALIGNMENT, Blob, Criteria, Hlod, NONE, Part, Skeleton};
 use crate::id::{BlobId, HlodId};
+
+pub use rule::{Place, Rule, Violation};
 
 /// Most hlods on a path from the root to a leaf, both counted: a fixed stack suffices to walk a tree.
 pub const MAX_DEPTH: u32 = 64;
-
-/// Where a rule is broken.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Place {
-    /// The scene's facts.
-    Info,
-    /// A hlod.
-    Hlod(HlodId),
-    /// A level, index into [`Skeleton::levels`].
-    Level(u32),
-    /// A blob.
-    Blob(BlobId),
-    /// A placement, index into [`Skeleton::transforms`].
-    Transform(u32),
-}
-
-impl std::fmt::Display for Place {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        match self {
-            Self::Info => f.write_str("the scene's facts"),
-            Self::Hlod(id) => write!(f, "hlod {id}"),
-            Self::Level(index) => write!(f, "level {index}"),
-            Self::Blob(id) => write!(f, "blob {id}"),
-            Self::Transform(index) => write!(f, "transform {index}"),
-        }
-    }
-}
-
-/// The rule that is broken.
-#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
-pub enum Rule {
-    /// There is a root.
-    #[error("there are no hlods")]
-    NoHlods,
-    /// Spare fields are zero.
-    #[error("a reserved field is not zero")]
-    Reserved,
-    /// No NaN, no infinity.
-    #[error("a number is not finite")]
-    NotFinite,
-    /// Up is a direction.
-    #[error("the up direction has no length")]
-    NoUp,
-    /// Parents come before children and list them.
-    #[error("parent {parent} does not come before it or does not list it")]
-    Parent {
-        /// What the hlod names.
-        parent: u32,
-    },
-    /// Children come after their parent, in range.
-    #[error("its children {first}..+{count} do not follow it in the table")]
-    Children {
-        /// First child.
-        first: u32,
-        /// How many.
-        count: u32,
-    },
-    /// Not deeper than [`MAX_DEPTH`].
-    #[error("it lies deeper than {MAX_DEPTH} hlods")]
-    Depth,
-    /// Boxes hold something.
-    #[error("the least corner of its box exceeds the greatest")]
-    EmptyBox,
-    /// Boxes hold their children's.
-    #[error("its box leaves that of its parent")]
-    OutsideParent,
-    /// Levels in range.
-    #[error("its levels {first}..+{count} are not in the table")]
-    LevelRange {
-        /// First level.
-        first: u32,
-        /// How many.
-        count: u32,
-    },
-    /// Every level belongs to exactly one hlod.
-    #[error("it belongs to {owners} hlods")]
-    Owners {
-        /// How many.
-        owners: u32,
-    },
-    /// Leaves can be drawn.
-    #[error("it is a leaf without a level")]
-    BareLeaf,
-    /// Objects in range.
-    #[error("object {object} is none of the source's")]
-    Object {
-        /// What the hlod names.
-        object: u32,
-    },
-    /// Source triangles add up.
-    #[error("it counts {said} source triangles, its parts {sum}")]
-    SourceTriangles {
-        /// The count.
-        said: u64,
-        /// The sum.
-        sum: u64,
-    },
-    /// Errors are distances.
-    #[error("its error {error} is no distance")]
-    Error {
-        /// The error.
-        error: f64,
-    },
-    /// Errors grow towards coarser levels and towards the root.
-    #[error("its error {error} is smaller than {finer} of what it stands for")]
-    NotMonotone {
-        /// The error.
-        error: f64,
-        /// The greater error of something finer.
-        finer: f64,
-    },
-    /// Blobs in range.
-    #[error("blob {blob} is not in the table")]
-    NoBlob {
-        /// What the level names.
-        blob: u32,
-    },
-    /// Placements in range.
-    #[error("transform {transform} is not in the table")]
-    NoTransform {
-        /// What the level names.
-        transform: u32,
-    },
-    /// Levels know their mesh.
-    #[error("it counts {said} triangles, its mesh {found}")]
-    Triangles {
-        /// The level's count.
-        said: u32,
-        /// The blob's count.
-        found: u32,
-    },
-    /// Grid steps are powers of two.
-    #[error("its step {step} is no power of two")]
-    Step {
-        /// The step.
-        step: f64,
-    },
-    /// Meshes have triangles, and 16 bits reach every vertex.
-    #[error("{vertices} vertices and {triangles} triangles are no mesh of {bytes} bytes")]
-    MeshSize {
-        /// Vertices.
-        vertices: u32,
-        /// Triangles.
-        triangles: u32,
-        /// Bytes.
-        bytes: u64,
-    },
-    /// Blobs lie one after the other, each at the next multiple of 64.
-    #[error("it starts at {offset} instead of {expected}")]
-    Offset {
-        /// Where it starts.
-        offset: u64,
-        /// Where it should.
-        expected: u64,
-    },
-}
-
-/// A broken rule and where.
-#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
-#[error("{place}: {rule}")]
-pub struct Violation {
-    /// Where.
-    pub place: Place,
-    /// What.
-    pub rule: Rule,
-}
 
 /// Checks the whole skeleton and reports the first broken rule.
 pub fn check(skeleton: &Skeleton) -> Result<(), Violation> {
     check_info(skeleton)?;
     check_tree(&skeleton.hlods)?;
     check_hlods(skeleton)?;
-    check_blobs(skeleton)?;
+    check_blobs(&skeleton.blobs)?;
+    check_textures(&skeleton.textures)?;
     for (i, transform) in skeleton.transforms.iter().enumerate() {
         let numbers = transform.linear.as_flattened().iter().chain(&transform.translation);
         hold(Place::Transform(i as u32), numbers.copied().all(f64::is_finite), Rule::NotFinite)?;
     }
+    check_parts(skeleton)?;
     check_levels(skeleton)?;
     check_errors(skeleton)
 }
@@ -201,11 +43,20 @@ fn check_info(skeleton: &Skeleton) -> Result<(), Violation> {
     hold(Place::Info, info.reserved == 0 && info.reserved2 == 0, Rule::Reserved)?;
     hold(Place::Info, info.up.iter().all(|c| c.is_finite()), Rule::NotFinite)?;
     hold(Place::Info, info.up.iter().any(|&c| c != 0.0), Rule::NoUp)?;
+    check_criteria(&info.tree)?;
+    check_criteria(&info.plain)?;
     let Some(root) = skeleton.hlods.first() else {
         return Err(Violation { place: Place::Info, rule: Rule::NoHlods });
     };
     let (said, sum) = (info.source_triangles, root.source_triangles);
     hold(Place::Info, said == sum, Rule::SourceTriangles { said, sum })
+}
+
+fn check_criteria(of: &Criteria) -> Result<(), Violation> {
+    hold(Place::Info, of.reserved == 0 && of.reserved2 == 0, Rule::Reserved)?;
+    let measures = [of.depth_mean, of.ideal_depth, of.overlap, of.localisation];
+    hold(Place::Info, measures.iter().all(|m| m.is_finite()), Rule::NotFinite)?;
+    hold(Place::Info, measures.iter().all(|&m| m >= 0.0), Rule::Negative)
 }
 
 /// The links alone: afterwards every walk along them stays in the table and ends.
@@ -276,24 +127,53 @@ fn check_hlods(skeleton: &Skeleton) -> Result<(), Violation> {
     Ok(())
 }
 
-fn check_blobs(skeleton: &Skeleton) -> Result<(), Violation> {
+/// Blobs one after another, each a mesh whose triangles all have a class.
+pub(super) fn check_blobs(blobs: &[Blob]) -> Result<(), Violation> {
     let mut expected = 0u64;
-    for (i, blob) in skeleton.blobs.iter().enumerate() {
+    for (i, blob) in blobs.iter().enumerate() {
         let place = Place::Blob(BlobId(i as u32));
+        let layout = blob.layout;
+        let Some(of_vertex) = Layout::of(layout) else {
+            return Err(Violation { place, rule: Rule::Layout { layout } });
+        };
         let (vertices, triangles, bytes) = (blob.vertices, blob.triangles, blob.bytes);
         let is_mesh = vertices > 0
             && triangles > 0
             && vertices as usize <= MAX_BLOB_VERTICES
-            && bytes == mesh_bytes(vertices, triangles);
+            && bytes == mesh_bytes(of_vertex, vertices, triangles);
         hold(place, is_mesh, Rule::MeshSize { vertices, triangles, bytes })?;
-        let offset = blob.offset;
-        hold(place, offset == expected, Rule::Offset { offset, expected })?;
-        // No file is that long; the offset that does not fit is the broken rule.
-        let end = offset.checked_add(bytes).and_then(|e| e.checked_next_multiple_of(ALIGNMENT));
-        expected = end.ok_or(Violation { place, rule: Rule::Offset { offset, expected } })?;
+        let sum = blob.classes.iter().map(|&n| u64::from(n)).sum();
+        hold(place, sum == u64::from(triangles), Rule::Classes { sum, triangles })?;
+        let masked = Class::ALL.iter().any(|class| class.is_mask() && blob.has(*class));
+        hold(place, of_vertex == Layout::Textured || !masked, Rule::PlainMask)?;
+        expected = after(place, blob.offset, bytes, expected)?;
         hold(place, is_power_of_two(blob.step), Rule::Step { step: blob.step })?;
         hold(place, blob.origin.iter().all(|c| c.is_finite()), Rule::NotFinite)?;
-        hold(place, blob.reserved == 0, Rule::Reserved)?;
+        hold(place, blob.reserved == [0; 2], Rule::Reserved)?;
+    }
+    Ok(())
+}
+
+/// Where the next thing starts if this one lies at `offset`, which must be `expected`.
+fn after(place: Place, offset: u64, bytes: u64, expected: u64) -> Result<u64, Violation> {
+    let rule = Rule::Offset { offset, expected };
+    hold(place, offset == expected, rule)?;
+    // No file is that long; the offset that does not fit is the broken rule.
+    let end = offset.checked_add(bytes).and_then(|e| e.checked_next_multiple_of(ALIGNMENT));
+    end.ok_or(Violation { place, rule })
+}
+
+fn check_textures(textures: &[Texture]) -> Result<(), Violation> {
+    let mut next = 0u64;
+    for (i, texture) in textures.iter().enumerate() {
+        let place = Place::Texture(i as u32);
+        let Texture { side, wrap, bytes, .. } = *texture;
+        hold(place, texture::is_side(side), Rule::Side { side })?;
+        hold(place, Wrap::unpack(wrap).is_some(), Rule::Wrap { wrap })?;
+        let expected = texture::mip_bytes(side);
+        hold(place, bytes == expected, Rule::TextureSize { bytes, expected })?;
+        next = after(place, texture.offset, bytes, next)?;
+        hold(place, texture.reserved == 0, Rule::Reserved)?;
     }
     Ok(())
 }
@@ -304,6 +184,19 @@ pub(super) fn is_power_of_two(x: f64) -> bool {
     x.is_normal() && x > 0.0 && fraction == 0
 }
 
+/// Every part names what exists.
+fn check_parts(skeleton: &Skeleton) -> Result<(), Violation> {
+    for (i, part) in skeleton.parts.iter().enumerate() {
+        let place = Place::Part(i as u32);
+        let (blob, transform) = (part.blob, part.transform);
+        hold(place, (blob as usize) < skeleton.blobs.len(), Rule::NoBlob { blob })?;
+        let placed = transform == NONE || (transform as usize) < skeleton.transforms.len();
+        hold(place, placed, Rule::NoTransform { transform })?;
+    }
+    Ok(())
+}
+
+/// Owners, parts, triangles and errors; the parts are known to be good.
 fn check_levels(skeleton: &Skeleton) -> Result<(), Violation> {
     // Differences of a running count: a hostile file may list all levels under every hlod.
     let mut owners = vec![0i64; skeleton.levels.len() + 1];
@@ -312,23 +205,24 @@ fn check_levels(skeleton: &Skeleton) -> Result<(), Violation> {
         owners[hlod.first_level as usize + hlod.level_count as usize] -= 1;
     }
     let mut owned = 0;
+    let mut expected = 0u32;
     for (i, level) in skeleton.levels.iter().enumerate() {
         let place = Place::Level(i as u32);
         owned += owners[i];
         hold(place, owned == 1, Rule::Owners { owners: owned as u32 })?;
-        let (blob, transform) = (level.blob, level.transform);
-        let Some(mesh) = skeleton.blobs.get(blob as usize) else {
-            return Err(Violation { place, rule: Rule::NoBlob { blob } });
-        };
-        let (said, found) = (level.triangles, mesh.triangles);
-        hold(place, said == found, Rule::Triangles { said, found })?;
-        let placed = transform == NONE || (transform as usize) < skeleton.transforms.len();
-        hold(place, placed, Rule::NoTransform { transform })?;
+        let (first, count) = (level.first_part, level.part_count);
+        let rest = skeleton.parts.len() - expected as usize;
+        let follow = first == expected && count > 0 && count as usize <= rest;
+        hold(place, follow, Rule::PartRange { first, count, expected })?;
+        expected += count;
+        let triangles = |part: &Part| u64::from(skeleton.blobs[part.blob as usize].triangles);
+        let (said, found) = (level.triangles, skeleton.parts_of(level).iter().map(triangles).sum());
+        hold(place, u64::from(said) == found, Rule::Triangles { said, found })?;
         hold(place, level.reserved == 0, Rule::Reserved)?;
         let error = level.error;
         hold(place, error.is_finite() && error >= 0.0, Rule::Error { error })?;
     }
-    Ok(())
+    hold(Place::Part(expected), expected as usize == skeleton.parts.len(), Rule::StrayPart)
 }
 
 /// Monotone errors (paper 004, section 2.1), through hlods without levels of their own too.

@@ -1,5 +1,5 @@
 //! A small scene for the tests of this module: a root with a stand-in over two leaves, one of them
-//! an instance with two levels.
+//! an instance with two levels, the other of two parts.
 
 use super::*;
 use bytemuck::Zeroable;
@@ -13,7 +13,7 @@ pub(super) fn hlods() -> Vec<Hlod> {
         parent: 0,
         first_level: 1,
         level_count: 1,
-        source_triangles: 1,
+        source_triangles: 2,
         ..Hlod::zeroed()
     };
     let root = Hlod {
@@ -23,7 +23,7 @@ pub(super) fn hlods() -> Vec<Hlod> {
         child_count: 2,
         first_level: 0,
         object: NONE,
-        source_triangles: 3,
+        source_triangles: 4,
         ..leaf
     };
     let instance = Hlod {
@@ -40,14 +40,20 @@ pub(super) fn hlods() -> Vec<Hlod> {
 
 /// Levels of the fixture.
 pub(super) fn levels() -> Vec<Level> {
-    let level = |error, blob, transform, triangles| Level {
+    let level = |error, first_part, part_count, triangles| Level {
         error,
-        blob,
-        transform,
+        first_part,
+        part_count,
         triangles,
         reserved: 0,
     };
-    vec![level(0.5, 2, NONE, 1), level(0.0, 0, NONE, 1), level(0.0, 1, 0, 2), level(0.25, 0, 0, 1)]
+    vec![level(0.5, 0, 1, 1), level(0.0, 1, 2, 2), level(0.0, 3, 1, 2), level(0.25, 4, 1, 1)]
+}
+
+/// Parts of the fixture.
+pub(super) fn parts() -> Vec<Part> {
+    let part = |blob, transform| Part { blob, transform };
+    vec![part(2, NONE), part(0, NONE), part(3, NONE), part(1, 0), part(0, 0)]
 }
 
 /// Placements of the fixture.
@@ -59,8 +65,8 @@ pub(super) fn transforms() -> Vec<Transform> {
 pub(super) fn info() -> SceneInfo {
     SceneInfo {
         up: [0.0, 1.0, 0.0],
-        source_triangles: 3,
-        unique_triangles: 3,
+        source_triangles: 4,
+        unique_triangles: 4,
         objects: 2,
         seed: 7,
         ..SceneInfo::zeroed()
@@ -74,20 +80,43 @@ pub(super) fn grid(points: &[[u32; 3]]) -> Vec<Vertex> {
     points.iter().map(vertex).collect()
 }
 
-/// Streams the fixture's three blobs.
+/// Streams the fixture's four blobs; one is textured.
 pub(super) fn add_blobs(writer: &mut SceneWriter) {
     let corner = grid(&[[0, 0, 0], [4, 0, 0], [0, 4, 0], [0, 0, 4]]);
-    writer.add_blob([0.0; 3], 0.25, &corner[..3], &[0, 1, 2]).unwrap();
-    writer.add_blob([0.0; 3], 0.25, &corner, &[0, 1, 2, 0, 2, 3]).unwrap();
+    let mut add = |step, vertices, indices: &[u16], classes| {
+        writer.add_blob([0.0; 3], step, vertices, indices, classes).unwrap();
+    };
+    let opaque = |n| Class::OpaqueDouble.all(n);
+    add(0.25, Vertices::Plain(&corner[..3]), &[0, 1, 2], opaque(1));
+    add(0.25, Vertices::Plain(&corner), &[0, 1, 2, 0, 2, 3], [1, 0, 0, 0, 0, 1]);
     let wide = grid(&[[0, 0, 0], [5, 0, 0], [0, 1, 1]]);
-    writer.add_blob([0.0; 3], 1.0, &wide, &[2, 1, 0]).unwrap();
+    add(1.0, Vertices::Plain(&wide), &[2, 1, 0], opaque(1));
+    add(0.25, Vertices::Textured(&leaf()), &[0, 1, 2], Class::MaskDouble.all(1));
+}
+
+/// The vertices of the textured blob.
+pub(super) fn leaf() -> Vec<TexturedVertex> {
+    let coordinates = [[0.0, 0.0], [1.0, 0.0], [0.0, 2.5]];
+    let corners = grid(&[[0, 0, 0], [4, 0, 0], [0, 4, 0]]).into_iter().zip(coordinates);
+    let textured =
+        |(plain, tex_coord)| TexturedVertex { plain, tex_coord, texture: 0, cutoff: 0.5 };
+    corners.map(textured).collect()
+}
+
+/// Pixels of the fixture's texture of 2 * 2.
+pub(super) const PIXELS: [u8; 16] = [255, 0, 0, 255, 0, 255, 0, 255, 0, 0, 255, 255, 9, 9, 9, 0];
+
+/// Adds the fixture's texture.
+pub(super) fn add_texture(writer: &mut SceneWriter) {
+    writer.add_texture(2, [Wrap::Repeat, Wrap::Mirror], &PIXELS).unwrap();
 }
 
 /// Writes the fixture.
 pub(super) fn write(path: &Path) -> Finished {
     let mut writer = SceneWriter::create(path).unwrap();
     add_blobs(&mut writer);
-    writer.finish(info(), hlods(), levels(), transforms()).unwrap()
+    add_texture(&mut writer);
+    writer.finish(info(), hlods(), levels(), parts(), transforms()).unwrap()
 }
 
 /// The bytes of the fixture.

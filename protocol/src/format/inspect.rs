@@ -1,7 +1,6 @@
 //! What is in a scene file, in numbers.
 
-use super::mesh::mesh_bytes;
-use super::{Hlod, NONE, Skeleton, Vertex};
+use super::{Class, Hlod, NONE, Skeleton};
 use serde::Serialize;
 
 /// Counts and qualities of a skeleton.
@@ -13,12 +12,20 @@ pub struct Inspection {
     pub leaves: u64,
     /// Levels of all hlods.
     pub levels: u64,
+    /// Placed meshes of all levels.
+    pub parts: u64,
     /// Meshes.
     pub blobs: u64,
-    /// Leaves that place a mesh by a transform.
+    /// Parts of the finest levels of leaves that are placed by a transform.
     pub instances: u64,
     /// Placements.
     pub transforms: u64,
+    /// Textures.
+    pub textures: u64,
+    /// Triangles of all meshes by what they do to what lies behind them.
+    pub classes: Classes,
+    /// Share of the triangles of all meshes whose vertices are textured; 0 where there are none.
+    pub textured_share: f64,
     /// Objects of the source.
     pub objects: u64,
     /// Hlods on the longest path from the root to a leaf, both counted.
@@ -46,6 +53,19 @@ pub struct Inspection {
     pub overlap_max: f64,
 }
 
+/// Triangles by class.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
+pub struct Classes {
+    /// Opaque.
+    pub opaque: u64,
+    /// With holes.
+    pub mask: u64,
+    /// Mixing with what lies behind them.
+    pub blend: u64,
+    /// Of all of these, those seen from both sides.
+    pub double_sided: u64,
+}
+
 /// The hlods at one depth.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
 pub struct TreeLevel {
@@ -66,14 +86,20 @@ pub struct BytesByKind {
     pub hlods: u64,
     /// Level records.
     pub levels: u64,
+    /// Part records.
+    pub parts: u64,
     /// Blob records.
     pub blobs: u64,
     /// Transform records.
     pub transforms: u64,
+    /// Texture records.
+    pub textures: u64,
     /// Vertices of all meshes.
     pub vertices: u64,
     /// Indices of all meshes.
     pub indices: u64,
+    /// Textures with their mips.
+    pub pixels: u64,
 }
 
 /// Numbers of children of the inner hlods; all 0 when there are none.
@@ -91,17 +117,27 @@ pub struct Branching {
 pub fn summary(skeleton: &Skeleton) -> Inspection {
     let hlods = &skeleton.hlods;
     let tree = tree_levels(skeleton);
+    let finest_of_leaves =
+        hlods.iter().filter(|h| h.child_count == 0).filter_map(|h| skeleton.levels_of(h).first());
     let placed =
-        |h: &&Hlod| h.child_count == 0 && skeleton.levels_of(h).iter().any(|l| l.transform != NONE);
+        finest_of_leaves.flat_map(|l| skeleton.parts_of(l)).filter(|p| p.transform != NONE);
+    let triangles = |all: bool| -> u64 {
+        let blobs = skeleton.blobs.iter().filter(|b| all || b.is_textured());
+        blobs.map(|b| u64::from(b.triangles)).sum()
+    };
     let errors = skeleton.levels.iter().map(|l| l.error);
     let overlaps: Vec<f64> = hlods.iter().filter_map(|h| overlap(skeleton, h)).collect();
     Inspection {
         hlods: hlods.len() as u64,
         leaves: tree.iter().map(|t| t.leaves).sum(),
         levels: skeleton.levels.len() as u64,
+        parts: skeleton.parts.len() as u64,
         blobs: skeleton.blobs.len() as u64,
-        instances: hlods.iter().filter(placed).count() as u64,
+        instances: placed.count() as u64,
         transforms: skeleton.transforms.len() as u64,
+        textures: skeleton.textures.len() as u64,
+        classes: classes(skeleton),
+        textured_share: triangles(false) as f64 / triangles(true).max(1) as f64,
         objects: u64::from(skeleton.info.objects),
         depth: tree.len() as u32,
         source_triangles: skeleton.info.source_triangles,
@@ -137,16 +173,32 @@ fn tree_levels(skeleton: &Skeleton) -> Vec<TreeLevel> {
     rows
 }
 
+fn classes(skeleton: &Skeleton) -> Classes {
+    let count = |of: fn(Class) -> bool| -> u64 {
+        let all = skeleton.blobs.iter().flat_map(|b| Class::ALL.into_iter().zip(b.classes));
+        all.filter(|(class, _)| of(*class)).map(|(_, n)| u64::from(n)).sum()
+    };
+    Classes {
+        opaque: count(Class::is_opaque),
+        mask: count(Class::is_mask),
+        blend: count(Class::is_blend),
+        double_sided: count(|class| !class.is_single_sided()),
+    }
+}
+
 fn bytes_by_kind(skeleton: &Skeleton) -> BytesByKind {
-    let vertices = skeleton.blobs.iter().map(|b| mesh_bytes(b.vertices, 0)).sum();
+    let vertices = skeleton.blobs.iter().map(|b| b.vertex_bytes() as u64).sum();
     let meshes: u64 = skeleton.blobs.iter().map(|b| b.bytes).sum();
     BytesByKind {
         hlods: size_of_val(&skeleton.hlods[..]) as u64,
         levels: size_of_val(&skeleton.levels[..]) as u64,
+        parts: size_of_val(&skeleton.parts[..]) as u64,
         blobs: size_of_val(&skeleton.blobs[..]) as u64,
         transforms: size_of_val(&skeleton.transforms[..]) as u64,
+        textures: size_of_val(&skeleton.textures[..]) as u64,
         vertices,
         indices: meshes - vertices,
+        pixels: skeleton.textures.iter().map(|t| t.bytes).sum(),
     }
 }
 
@@ -210,8 +262,18 @@ impl std::fmt::Display for Inspection {
         writeln!(f, "hlods         {}, leaves {}, depth {}", self.hlods, self.leaves, self.depth)?;
         writeln!(
             f,
-            "levels        {}, blobs {}, transforms {}",
-            self.levels, self.blobs, self.transforms
+            "levels        {}, parts {}, blobs {}, transforms {}, textures {}",
+            self.levels, self.parts, self.blobs, self.transforms, self.textures
+        )?;
+        let c = &self.classes;
+        writeln!(
+            f,
+            "surfaces      opaque {}, mask {}, blend {} triangles, {} of them double-sided; {:.1}% textured",
+            c.opaque,
+            c.mask,
+            c.blend,
+            c.double_sided,
+            100.0 * self.textured_share
         )?;
         writeln!(f, "errors        {} to {} scene units", self.error_min, self.error_max)?;
         writeln!(
@@ -226,8 +288,17 @@ impl std::fmt::Display for Inspection {
         )?;
         writeln!(
             f,
-            "bytes         hlods {}, levels {}, blobs {}, transforms {}, vertices {}, indices {}",
-            b.hlods, b.levels, b.blobs, b.transforms, b.vertices, b.indices
+            "bytes         hlods {}, levels {}, parts {}, blobs {}, transforms {}, textures {}, \
+             vertices {}, indices {}, pixels {}",
+            b.hlods,
+            b.levels,
+            b.parts,
+            b.blobs,
+            b.transforms,
+            b.textures,
+            b.vertices,
+            b.indices,
+            b.pixels
         )?;
         writeln!(f, "depth      hlods     leaves    triangles, finest     coarsest")?;
         for (depth, t) in self.tree.iter().enumerate() {
@@ -241,9 +312,6 @@ impl std::fmt::Display for Inspection {
     }
 }
 
-// Vertices are whole multiples of the padding, so the split of a mesh's bytes is exact.
-const _: () = assert!(size_of::<Vertex>().is_multiple_of(4));
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -252,16 +320,20 @@ mod tests {
     #[test]
     fn counts_of_the_fixture() {
         let s = summary(&fixture::skeleton());
-        assert_eq!((s.hlods, s.leaves, s.levels, s.blobs), (3, 2, 4, 3));
+        assert_eq!((s.hlods, s.leaves, s.levels, s.blobs), (3, 2, 4, 4));
         assert_eq!((s.instances, s.transforms, s.objects, s.depth), (1, 1, 2, 2));
+        assert_eq!((s.parts, s.textures), (5, 1));
+        assert_eq!(s.classes, Classes { opaque: 3, mask: 1, blend: 1, double_sided: 4 });
+        assert_eq!(s.textured_share, 0.2);
         assert_eq!((s.error_min, s.error_max), (0.0, 0.5));
         assert_eq!(s.branching, Branching { min: 2, max: 2, mean: 2.0 });
         let rows = [
             TreeLevel { hlods: 1, leaves: 0, finest_triangles: 1, coarsest_triangles: 1 },
-            TreeLevel { hlods: 2, leaves: 2, finest_triangles: 3, coarsest_triangles: 2 },
+            TreeLevel { hlods: 2, leaves: 2, finest_triangles: 4, coarsest_triangles: 3 },
         ];
         assert_eq!(s.tree, rows);
-        assert_eq!((s.bytes.vertices, s.bytes.indices), (160, 8 + 12 + 8));
+        assert_eq!((s.bytes.vertices, s.bytes.indices), (160 + 3 * 32, 8 + 12 + 8 + 8));
+        assert_eq!((s.bytes.parts, s.bytes.textures, s.bytes.pixels), (5 * 8, 32, 4 * (4 + 1)));
         assert_eq!((s.overlap_mean, s.overlap_max), (0.0, 0.0));
     }
 
@@ -293,6 +365,6 @@ mod tests {
     fn the_text_names_every_depth() {
         let text = summary(&fixture::skeleton()).to_string();
         assert!(text.contains("hlods         3, leaves 2, depth 2"), "{text}");
-        assert_eq!(text.lines().count(), 9 + 1 + 2);
+        assert_eq!(text.lines().count(), 10 + 1 + 2);
     }
 }

@@ -1,16 +1,16 @@
 //! Header and section table as they lie in the file.
 //!
-//! The layout is canonical: the lengths of the six sections determine every offset, so a reader
+//! The layout is canonical: the lengths of the nine sections determine every offset, so a reader
 //! compares the table with the one it would have written and has nothing left to distrust.
 
-use super::{Blob, Digest, Hlod, Level, SceneInfo, Transform};
+use super::{Blob, Digest, Hlod, Level, Part, SceneInfo, Texture, Transform};
 use bytemuck::{Pod, Zeroable};
 
 // Records are cast in place, so the machine must agree with the file.
 const _: () = assert!(cfg!(target_endian = "little"), "scene files are little-endian");
 
 /// Version of the layout; a file of another version is refused.
-pub const FORMAT_VERSION: u32 = 1;
+pub const FORMAT_VERSION: u32 = 2;
 /// Every section and every blob starts at a multiple of this many bytes.
 pub const ALIGNMENT: u64 = 64;
 
@@ -27,32 +27,54 @@ pub(super) const HEADER_BYTES: usize = size_of::<Header>();
 pub enum Section {
     /// Blobs, each with its own checksum.
     Geometry = 1,
+    /// Pixels of textures, each with its own checksum.
+    Pixels,
     /// One [`SceneInfo`].
     Info,
     /// [`Hlod`]s.
     Hlods,
     /// [`Level`]s.
     Levels,
+    /// [`Part`]s.
+    Parts,
     /// [`Blob`]s.
     Blobs,
     /// [`Transform`]s.
     Transforms,
+    /// [`Texture`]s.
+    Textures,
 }
 
 impl Section {
     /// All sections in file order.
-    pub const ALL: [Self; 6] =
-        [Self::Geometry, Self::Info, Self::Hlods, Self::Levels, Self::Blobs, Self::Transforms];
+    pub const ALL: [Self; 9] = [
+        Self::Geometry,
+        Self::Pixels,
+        Self::Info,
+        Self::Hlods,
+        Self::Levels,
+        Self::Parts,
+        Self::Blobs,
+        Self::Transforms,
+        Self::Textures,
+    ];
+
+    /// It holds data that is checked piece by piece when it is first used, not a table.
+    pub(super) fn is_bulk(self) -> bool {
+        matches!(self, Self::Geometry | Self::Pixels)
+    }
 
     /// Bytes of one record; the section's length is a multiple of it.
     pub fn record_bytes(self) -> u64 {
         let bytes = match self {
-            Self::Geometry => return ALIGNMENT,
+            Self::Geometry | Self::Pixels => return ALIGNMENT,
             Self::Info => size_of::<SceneInfo>(),
             Self::Hlods => size_of::<Hlod>(),
             Self::Levels => size_of::<Level>(),
+            Self::Parts => size_of::<Part>(),
             Self::Blobs => size_of::<Blob>(),
             Self::Transforms => size_of::<Transform>(),
+            Self::Textures => size_of::<Texture>(),
         };
         bytes as u64
     }
@@ -62,11 +84,14 @@ impl std::fmt::Display for Section {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.write_str(match self {
             Self::Geometry => "geometry",
+            Self::Pixels => "pixels",
             Self::Info => "info",
             Self::Hlods => "hlods",
             Self::Levels => "levels",
+            Self::Parts => "parts",
             Self::Blobs => "blobs",
             Self::Transforms => "transforms",
+            Self::Textures => "textures",
         })
     }
 }
@@ -77,7 +102,7 @@ impl std::fmt::Display for Section {
 pub(super) struct SectionEntry {
     /// [`Section`] as a number.
     pub(super) kind: u32,
-    /// CRC32C of the section without padding; 0 for the geometry.
+    /// CRC32C of the section without padding; 0 for geometry and pixels.
     pub(super) crc: u32,
     /// First byte in the file.
     pub(super) offset: u64,
@@ -89,7 +114,7 @@ pub(super) struct SectionEntry {
     pub(super) reserved: u32,
 }
 
-/// The first 256 bytes of the file.
+/// The first 384 bytes of the file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Pod, Zeroable)]
 #[repr(C)]
 pub(super) struct Header {
@@ -102,6 +127,8 @@ pub(super) struct Header {
     pub(super) crc: u32,
     pub(super) digest: Digest,
     pub(super) sections: [SectionEntry; Section::ALL.len()],
+    /// Zero.
+    pub(super) reserved: [u32; 8],
 }
 
 impl Header {
@@ -139,7 +166,7 @@ impl Header {
         &self.sections[section as usize - 1]
     }
 
-    /// First byte after the geometry: where the skeleton begins.
+    /// First byte after geometry and pixels: where the skeleton begins.
     pub(super) fn skeleton_offset(&self) -> u64 {
         self.section(Section::Info).offset
     }
@@ -161,21 +188,23 @@ mod tests {
     use super::*;
 
     #[test]
-    fn header_is_256_bytes_and_records_have_their_documented_size() {
-        assert_eq!(HEADER_BYTES, 256);
-        assert_eq!(Section::ALL.map(Section::record_bytes), [64, 64, 80, 24, 64, 96]);
+    fn header_is_384_bytes_and_records_have_their_documented_size() {
+        assert_eq!(HEADER_BYTES, 384);
+        let bytes = Section::ALL.map(Section::record_bytes);
+        assert_eq!(bytes, [64, 64, 224, 80, 24, 8, 96, 96, 32]);
     }
 
     #[test]
     fn offsets_follow_from_lengths() {
-        let header = Header::new([0, 64, 80, 24, 0, 0], [0; 6]).unwrap();
-        assert_eq!(header.sections.map(|s| s.offset), [256, 256, 320, 448, 512, 512]);
-        assert_eq!(header.file_bytes, 512);
+        let header = Header::new([0, 64, 224, 80, 24, 8, 0, 0, 32], [0; 9]).unwrap();
+        let offsets = [384, 384, 448, 704, 832, 896, 960, 960, 960];
+        assert_eq!(header.sections.map(|s| s.offset), offsets);
+        assert_eq!((header.skeleton_offset(), header.file_bytes), (448, 1024));
     }
 
     #[test]
     fn lengths_that_overflow_have_no_header() {
-        assert_eq!(Header::new([u64::MAX, 0, 0, 0, 0, 0], [0; 6]), None);
-        assert_eq!(Header::new([1 << 63, 64, 1 << 63, 0, 0, 0], [0; 6]), None);
+        assert_eq!(Header::new([u64::MAX, 0, 0, 0, 0, 0, 0, 0, 0], [0; 9]), None);
+        assert_eq!(Header::new([1 << 63, 0, 64, 1 << 63, 0, 0, 0, 0, 0], [0; 9]), None);
     }
 }

@@ -1,7 +1,7 @@
 //! The inside of a blob: vertices, then 16-bit indices, then zeros up to 4 bytes.
 
-use super::vertex::{MAX_BLOB_VERTICES, POSITION_BITS};
-use super::{Blob, Vertex};
+use super::vertex::{Layout, MAX_BLOB_VERTICES, POSITION_BITS};
+use super::{Blob, NONE, TexturedVertex, Vertex, Vertices};
 
 /// Why a blob's bytes cannot be drawn.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
@@ -23,14 +23,29 @@ pub enum BlobDamage {
         /// Position in the index list.
         index: u32,
     },
+    /// A vertex names no texture.
+    #[error("vertex {vertex} names texture {texture}, which does not exist")]
+    Texture {
+        /// The vertex.
+        vertex: u32,
+        /// What it names.
+        texture: u32,
+    },
+    /// A texture coordinate or a cutoff is no number.
+    #[error("vertex {vertex} has a texture coordinate or cutoff that is not finite")]
+    NotFinite {
+        /// The vertex.
+        vertex: u32,
+    },
     /// Bit 63 of a position or the padding is not zero.
     #[error("bits that must be zero are not")]
     Padding,
 }
 
 /// Bytes of a blob with so many vertices and triangles.
-pub fn mesh_bytes(vertices: u32, triangles: u32) -> u64 {
-    let unpadded = u64::from(vertices) * size_of::<Vertex>() as u64 + u64::from(triangles) * 6;
+pub fn mesh_bytes(layout: Layout, vertices: u32, triangles: u32) -> u64 {
+    let of_vertices = u64::from(vertices) * layout.vertex_bytes() as u64;
+    let unpadded = of_vertices + u64::from(triangles) * 6;
     unpadded.next_multiple_of(4)
 }
 
@@ -39,40 +54,53 @@ pub fn mesh_bytes(vertices: u32, triangles: u32) -> u64 {
 /// # Panics
 /// If there is no triangle, `indices` is not a list of triangles, an index names no vertex, or there
 /// are more than [`MAX_BLOB_VERTICES`] vertices.
-pub(super) fn encode(vertices: &[Vertex], indices: &[u16]) -> Vec<u8> {
+pub(super) fn encode(vertices: Vertices<'_>, indices: &[u16]) -> Vec<u8> {
     assert!(
         !indices.is_empty() && indices.len().is_multiple_of(3),
         "a mesh is a list of triangles"
     );
-    assert!(vertices.len() <= MAX_BLOB_VERTICES, "{} vertices", vertices.len());
-    assert!(indices.iter().all(|&i| usize::from(i) < vertices.len()), "an index names no vertex");
+    let count = vertices.count();
+    assert!(count <= MAX_BLOB_VERTICES, "{count} vertices");
+    assert!(indices.iter().all(|&i| usize::from(i) < count), "an index names no vertex");
     let triangles = u32::try_from(indices.len() / 3).expect("fewer than 2^32 triangles");
-    let total = mesh_bytes(vertices.len() as u32, triangles) as usize;
+    let total = mesh_bytes(vertices.layout(), count as u32, triangles) as usize;
     let mut bytes = Vec::with_capacity(total);
-    bytes.extend_from_slice(bytemuck::cast_slice(vertices));
+    bytes.extend_from_slice(vertices.bytes());
     bytes.extend_from_slice(bytemuck::cast_slice(indices));
     bytes.resize(total, 0);
     bytes
 }
 
-/// The vertices of a blob whose bytes have been checked.
+/// The vertices of a blob whose bytes have been checked, without what textures need.
 pub fn vertices_of<'a>(blob: &Blob, bytes: &'a [u8]) -> impl Iterator<Item = Vertex> + use<'a> {
-    let size = size_of::<Vertex>();
-    bytes[..blob.vertices as usize * size].chunks_exact(size).map(bytemuck::pod_read_unaligned)
+    let of_vertices = &bytes[..blob.vertex_bytes()];
+    let plain = |chunk: &[u8]| bytemuck::pod_read_unaligned(&chunk[..size_of::<Vertex>()]);
+    of_vertices.chunks_exact(blob.vertex_layout().vertex_bytes()).map(plain)
 }
 
-/// Checks a blob's bytes before anybody draws them: length, checksum, indices, zero bits.
+/// The vertices of a textured blob whose bytes have been checked; none of another.
+pub fn textured_vertices_of<'a>(
+    blob: &Blob,
+    bytes: &'a [u8],
+) -> impl Iterator<Item = TexturedVertex> + use<'a> {
+    let of_vertices = if blob.is_textured() { &bytes[..blob.vertex_bytes()] } else { &[] };
+    of_vertices.chunks_exact(size_of::<TexturedVertex>()).map(bytemuck::pod_read_unaligned)
+}
+
+/// Checks a blob's bytes before anybody draws them: length, checksum, indices, zero bits, and that
+/// what it names of `textures` textures exists.
 ///
-/// What passes cannot make a rasteriser read out of bounds.
-pub fn check_blob(blob: &Blob, bytes: &[u8]) -> Result<(), BlobDamage> {
-    let expected = mesh_bytes(blob.vertices, blob.triangles);
+/// What passes cannot make a rasteriser read out of bounds. The blob's own record is known to be
+/// good ([`super::check()`]).
+pub fn check_blob(blob: &Blob, bytes: &[u8], textures: u32) -> Result<(), BlobDamage> {
+    let expected = mesh_bytes(blob.vertex_layout(), blob.vertices, blob.triangles);
     if bytes.len() as u64 != expected || blob.bytes != expected {
         return Err(BlobDamage::Length { found: bytes.len() as u64, expected });
     }
     if crc32c::crc32c(bytes) != blob.crc {
         return Err(BlobDamage::Checksum);
     }
-    let (_, rest) = bytes.split_at(blob.vertices as usize * size_of::<Vertex>());
+    let (_, rest) = bytes.split_at(blob.vertex_bytes());
     let (indices, padding) = rest.split_at(blob.triangles as usize * 6);
     let outside = |pair: &[u8]| u32::from(u16::from_le_bytes([pair[0], pair[1]])) >= blob.vertices;
     if let Some(index) = indices.chunks_exact(2).position(outside) {
@@ -83,6 +111,15 @@ pub fn check_blob(blob: &Blob, bytes: &[u8]) -> Result<(), BlobDamage> {
     if padding.iter().any(|&b| b != 0) || vertices_of(blob, bytes).any(spare_used) {
         return Err(BlobDamage::Padding);
     }
+    for (at, vertex) in (0..).zip(textured_vertices_of(blob, bytes)) {
+        let TexturedVertex { tex_coord: [u, v], texture, cutoff, .. } = vertex;
+        if texture != NONE && texture >= textures {
+            return Err(BlobDamage::Texture { vertex: at, texture });
+        }
+        if ![u, v, cutoff].iter().all(|c| c.is_finite()) {
+            return Err(BlobDamage::NotFinite { vertex: at });
+        }
+    }
     Ok(())
 }
 
@@ -91,11 +128,47 @@ mod tests {
     use super::*;
     use bytemuck::Zeroable;
 
+    fn mesh(vertices: Vertices<'_>) -> (Blob, Vec<u8>) {
+        let bytes = encode(vertices, &[0, 1, 2]);
+        let blob = Blob {
+            vertices: 3,
+            triangles: 1,
+            bytes: bytes.len() as u64,
+            crc: crc32c::crc32c(&bytes),
+            layout: vertices.layout() as u32,
+            ..Blob::zeroed()
+        };
+        (blob, bytes)
+    }
+
     fn triangle() -> (Blob, Vec<u8>) {
-        let bytes = encode(&[Vertex::zeroed(); 3], &[0, 1, 2]);
-        let crc = crc32c::crc32c(&bytes);
-        let length = bytes.len() as u64;
-        (Blob { vertices: 3, triangles: 1, bytes: length, crc, ..Blob::zeroed() }, bytes)
+        mesh(Vertices::Plain(&[Vertex::zeroed(); 3]))
+    }
+
+    fn textured(last: TexturedVertex, textures: u32) -> Result<(), BlobDamage> {
+        let first = TexturedVertex { texture: NONE, ..TexturedVertex::zeroed() };
+        let (blob, bytes) = mesh(Vertices::Textured(&[first, first, last]));
+        assert_eq!(bytes.len(), 3 * 32 + 6 + 2);
+        assert_eq!(vertices_of(&blob, &bytes).count(), 3);
+        assert_eq!(textured_vertices_of(&blob, &bytes).count(), 3);
+        check_blob(&blob, &bytes, textures)
+    }
+
+    #[test]
+    fn textured_vertices_name_textures_that_exist_at_finite_places() {
+        let named = |texture| TexturedVertex { texture, ..TexturedVertex::zeroed() };
+        assert_eq!(textured(named(NONE), 0), Ok(()));
+        assert_eq!(textured(named(1), 2), Ok(()));
+        assert_eq!(textured(named(2), 2), Err(BlobDamage::Texture { vertex: 2, texture: 2 }));
+        assert_eq!(textured(named(0), 0), Err(BlobDamage::Texture { vertex: 2, texture: 0 }));
+        for bad in [f32::NAN, f32::INFINITY] {
+            for at in 0..3 {
+                let mut vertex = named(NONE);
+                let TexturedVertex { tex_coord: [u, v], cutoff, .. } = &mut vertex;
+                *[u, v, cutoff][at] = bad;
+                assert_eq!(textured(vertex, 0), Err(BlobDamage::NotFinite { vertex: 2 }));
+            }
+        }
     }
 
     /// The blob after `bytes` were replaced by someone who also fixed the checksum.
@@ -103,23 +176,23 @@ mod tests {
         let (mut blob, mut bytes) = triangle();
         change(&mut bytes);
         blob.crc = crc32c::crc32c(&bytes);
-        check_blob(&blob, &bytes)
+        check_blob(&blob, &bytes, 0)
     }
 
     #[test]
     fn a_blob_is_padded_to_four_bytes() {
         let (blob, bytes) = triangle();
         assert_eq!(bytes.len(), 3 * 16 + 6 + 2);
-        assert_eq!(check_blob(&blob, &bytes), Ok(()));
+        assert_eq!(check_blob(&blob, &bytes, 0), Ok(()));
         assert_eq!(vertices_of(&blob, &bytes).count(), 3);
     }
 
     #[test]
     fn short_and_changed_bytes_are_found() {
         let (blob, mut bytes) = triangle();
-        assert!(matches!(check_blob(&blob, &[]), Err(BlobDamage::Length { found: 0, .. })));
+        assert!(matches!(check_blob(&blob, &[], 0), Err(BlobDamage::Length { found: 0, .. })));
         bytes[5] ^= 1;
-        assert_eq!(check_blob(&blob, &bytes), Err(BlobDamage::Checksum));
+        assert_eq!(check_blob(&blob, &bytes, 0), Err(BlobDamage::Checksum));
     }
 
     #[test]
@@ -133,6 +206,6 @@ mod tests {
     #[test]
     #[should_panic(expected = "names no vertex")]
     fn encoding_a_wild_index_is_our_mistake() {
-        encode(&[Vertex::zeroed(); 2], &[0, 1, 2]);
+        encode(Vertices::Plain(&[Vertex::zeroed(); 2]), &[0, 1, 2]);
     }
 }

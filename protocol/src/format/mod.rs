@@ -1,10 +1,11 @@
 //! The scene file. FORMAT.md draws every byte.
 //!
-//! A small skeleton (always resident) and large geometry pages, in one file that is written to a
+//! A small skeleton (always resident) and large geometry and pixels, in one file that is written to a
 //! temporary name, synced and renamed. All numbers are little-endian; sections start at multiples of
 //! 64 bytes, so that a mapped file can be read in place.
 
 pub mod check;
+pub mod class;
 #[cfg(test)]
 mod fixture;
 pub mod inspect;
@@ -12,16 +13,19 @@ mod layout;
 pub mod mesh;
 pub mod read;
 pub mod skeleton;
+pub mod texture;
 pub mod vertex;
 pub mod write;
 
 pub use check::{Violation, check};
+pub use class::Class;
 pub use inspect::{Inspection, summary};
 pub use layout::{ALIGNMENT, FORMAT_VERSION, Section};
 pub use read::{FormatError, ReadError, SceneFile, digest, parse, read_blob, read_skeleton};
-pub use skeleton::{Blob, Hlod, Level, SceneInfo, Skeleton, Transform};
-pub use vertex::Vertex;
-pub use write::{Finished, SceneWriter, WriteError};
+pub use skeleton::{Blob, Criteria, Hlod, Level, Part, SceneInfo, Skeleton, Transform};
+pub use texture::{Texture, Wrap};
+pub use vertex::{TexturedVertex, Vertex, Vertices};
+pub use write::{Finished, SceneWriter, WriteError, WriterState};
 
 /// BLAKE3 of the whole file's content, see FORMAT.md.
 pub type Digest = [u8; 32];

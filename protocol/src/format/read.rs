@@ -1,7 +1,7 @@
 //! Reading a scene file without trusting it.
 //!
-//! Opening reads the header and the skeleton, which lie at the two ends of the file; the geometry
-//! between them is left alone, and each blob is checked on first use. [`digest`] reads everything.
+//! Opening reads the header and the skeleton, which lie at the two ends of the file; geometry and pixels
+//! between them are left alone, and each blob and texture is checked on first use. [`digest`] reads everything.
 
 use super::layout::{ENDIAN_MARK, FORMAT_VERSION, HEADER_BYTES, Header, MAGIC};
 use super::mesh::{BlobDamage, check_blob};
@@ -13,13 +13,15 @@ use std::io::{self, Read, Seek, SeekFrom};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
-/// An opened scene file: all of it but the geometry.
+/// An opened scene file: all of it but geometry and pixels.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SceneFile {
     /// The skeleton; [`super::check()`] has passed.
     pub skeleton: Skeleton,
     /// Where the geometry section lies, bytes from the start of the file.
     pub geometry: Range<u64>,
+    /// Where the pixel section lies, bytes from the start of the file.
+    pub pixels: Range<u64>,
     /// The digest the file claims; [`digest`] computes the real one.
     pub digest: Digest,
     /// Bytes of the file.
@@ -32,6 +34,16 @@ impl SceneFile {
         let blob = self.skeleton.blob(id);
         let start = self.geometry.start + blob.offset;
         start..start + blob.bytes
+    }
+
+    /// Where a texture lies, bytes from the start of the file.
+    ///
+    /// # Panics
+    /// If the scene has no such texture.
+    pub fn texture_range(&self, index: u32) -> Range<u64> {
+        let texture = self.skeleton.textures[index as usize];
+        let start = self.pixels.start + texture.offset;
+        start..start + texture.bytes
     }
 }
 
@@ -192,7 +204,7 @@ pub fn read_blob(file: &File, scene: &SceneFile, blob: BlobId) -> Result<Vec<u8>
     file.seek(SeekFrom::Start(range.start))
         .and_then(|_| file.take(range.end - range.start).read_to_end(&mut bytes))
         .map_err(|source| BlobReadError::Io { blob, source })?;
-    check_blob(scene.skeleton.blob(blob), &bytes)
+    check_blob(scene.skeleton.blob(blob), &bytes, scene.skeleton.textures.len() as u32)
         .map_err(|source| BlobReadError::Damaged { blob, source })?;
     Ok(bytes)
 }
@@ -216,17 +228,20 @@ fn parse_header(start: &[u8], file_bytes: u64) -> Result<Header, FormatError> {
         let ours = start.len() >= 4 && (start[..4] == MAGIC[..4] || start[..4] == *b"\x09OCC");
         return Err(if ours { FormatError::TextMode } else { FormatError::Foreign });
     }
+    // Order and version come before length and checksum: another version may differ in both.
+    if let Some(&[version, endian_mark]) = start.get(8..16).map(|b| b.as_chunks::<4>().0) {
+        let [version, endian_mark] = [version, endian_mark].map(u32::from_le_bytes);
+        if endian_mark == ENDIAN_MARK.swap_bytes() {
+            return Err(FormatError::Endianness);
+        }
+        if endian_mark == ENDIAN_MARK && version != FORMAT_VERSION {
+            return Err(FormatError::Version { found: version });
+        }
+    }
     let Some(bytes) = start.get(..HEADER_BYTES) else {
         return Err(FormatError::Length { found: file_bytes, expected: HEADER_BYTES as u64 });
     };
     let header: Header = bytemuck::pod_read_unaligned(bytes);
-    // Order and version come before the checksum: another version may keep it elsewhere.
-    if header.endian_mark == ENDIAN_MARK.swap_bytes() {
-        return Err(FormatError::Endianness);
-    }
-    if header.endian_mark == ENDIAN_MARK && header.version != FORMAT_VERSION {
-        return Err(FormatError::Version { found: header.version });
-    }
     if header.crc != header.expected_crc() {
         return Err(FormatError::Header);
     }
@@ -241,9 +256,9 @@ fn parse_header(start: &[u8], file_bytes: u64) -> Result<Header, FormatError> {
 fn check_table(header: &Header) -> Result<(), FormatError> {
     for section in Section::ALL {
         let entry = header.section(section);
-        let wrong_crc = section == Section::Geometry && entry.crc != 0;
+        let wrong_crc = section.is_bulk() && entry.crc != 0;
         let records = entry.bytes / section.record_bytes();
-        let too_many = section != Section::Geometry && records >= u64::from(NONE);
+        let too_many = !section.is_bulk() && records >= u64::from(NONE);
         let odd = !entry.bytes.is_multiple_of(section.record_bytes());
         if wrong_crc || too_many || odd || section == Section::Info && records != 1 {
             return Err(FormatError::Table { section });
@@ -260,24 +275,33 @@ fn check_table(header: &Header) -> Result<(), FormatError> {
     if *header == canonical { Ok(()) } else { Err(FormatError::Header) }
 }
 
-/// Decodes and checks everything after the geometry. `bytes` reaches to the file's end.
+/// Decodes and checks everything after geometry and pixels. `bytes` reaches to the file's end.
 fn parse_skeleton(header: &Header, bytes: &[u8]) -> Result<SceneFile, FormatError> {
     let skeleton = Skeleton {
         info: section_records::<SceneInfo>(header, bytes, Section::Info)?[0],
         hlods: section_records(header, bytes, Section::Hlods)?,
         levels: section_records(header, bytes, Section::Levels)?,
+        parts: section_records(header, bytes, Section::Parts)?,
         blobs: section_records(header, bytes, Section::Blobs)?,
         transforms: section_records(header, bytes, Section::Transforms)?,
+        textures: section_records(header, bytes, Section::Textures)?,
     };
     super::check(&skeleton)?;
-    let geometry = header.section(Section::Geometry);
-    let used = skeleton.blobs.last().map_or(0, |b| b.offset + b.bytes);
-    if geometry.bytes != used.next_multiple_of(super::ALIGNMENT) {
-        return Err(FormatError::Table { section: Section::Geometry });
+    let of_blobs = skeleton.blobs.last().map_or(0, |b| b.offset + b.bytes);
+    let of_textures = skeleton.textures.last().map_or(0, |t| t.offset + t.bytes);
+    for (section, used) in [(Section::Geometry, of_blobs), (Section::Pixels, of_textures)] {
+        if header.section(section).bytes != used.next_multiple_of(super::ALIGNMENT) {
+            return Err(FormatError::Table { section });
+        }
     }
+    let range = |section| {
+        let entry = header.section(section);
+        entry.offset..entry.offset + entry.bytes
+    };
     Ok(SceneFile {
         skeleton,
-        geometry: geometry.offset..geometry.offset + geometry.bytes,
+        geometry: range(Section::Geometry),
+        pixels: range(Section::Pixels),
         digest: header.digest,
         file_bytes: header.file_bytes,
     })

@@ -1,12 +1,16 @@
 //! The always-resident part of a scene: bounds, errors, children, blob ranges; no geometry.
 
+use super::class::Class;
+use super::texture::Texture;
+use super::vertex::Layout;
 use crate::id::{BlobId, HlodId};
 use bytemuck::{Pod, Zeroable};
+use std::ops::Range;
 
 /// A node of the hierarchy (paper 004, section 2.1): 80 bytes.
 ///
-/// Children are contiguous and come after their parent; hlod 0 is the root. A leaf holds a piece of
-/// an object or one instance; level 0 of a leaf is the original geometry. An inner hlod's levels stand
+/// Children are contiguous and come after their parent; hlod 0 is the root. A leaf holds pieces of
+/// objects and instances; level 0 of a leaf is the original geometry. An inner hlod's levels stand
 /// for everything below it.
 #[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
 #[repr(C)]
@@ -38,18 +42,28 @@ pub struct Level {
     /// Greatest deviation from the original surface, scene units. Never smaller than the error of a
     /// finer level of this hlod or of any level of a child.
     pub error: f64,
-    /// Its mesh, index into [`Skeleton::blobs`].
-    pub blob: u32,
-    /// Its placement, index into [`Skeleton::transforms`], or [`super::NONE`] for the identity.
-    pub transform: u32,
-    /// Triangles of the mesh.
+    /// First of its parts in [`Skeleton::parts`]: where those of the level before end.
+    pub first_part: u32,
+    /// Number of its parts, at least 1.
+    pub part_count: u32,
+    /// Triangles of all parts.
     pub triangles: u32,
     /// Zero.
     pub reserved: u32,
 }
 
-/// A mesh in the geometry section: 64 bytes.
-#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
+/// A placed mesh of one level: 8 bytes. A leaf may hold several objects, each a part or more.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Pod, Zeroable)]
+#[repr(C)]
+pub struct Part {
+    /// Its mesh, index into [`Skeleton::blobs`].
+    pub blob: u32,
+    /// Its placement, index into [`Skeleton::transforms`], or [`super::NONE`] for the identity.
+    pub transform: u32,
+}
+
+/// A mesh in the geometry section: 96 bytes.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable)]
 #[repr(C)]
 pub struct Blob {
     /// Mesh-space position of grid point (0, 0, 0). Identity placement: scene units.
@@ -66,8 +80,40 @@ pub struct Blob {
     pub triangles: u32,
     /// CRC32C of the bytes.
     pub crc: u32,
+    /// Its vertices' [`Layout`] as a number.
+    pub layout: u32,
+    /// Triangles by [`Class`], in which order they lie. Masked ones have textured vertices.
+    pub classes: [u32; Class::COUNT],
     /// Zero.
-    pub reserved: u32,
+    pub reserved: [u32; 2],
+}
+
+impl Blob {
+    /// Whether its vertices are textured.
+    pub fn is_textured(&self) -> bool {
+        self.layout == Layout::Textured as u32
+    }
+
+    /// What its vertices are.
+    pub fn vertex_layout(&self) -> Layout {
+        if self.is_textured() { Layout::Textured } else { Layout::Plain }
+    }
+
+    /// Whether any of its triangles is of `class`.
+    pub fn has(&self, class: Class) -> bool {
+        self.classes[class as usize] > 0
+    }
+
+    /// The triangles of `class`. The rules have passed: classes add up to the triangles.
+    pub fn triangles_of(&self, class: Class) -> Range<u32> {
+        let first = self.classes[..class as usize].iter().sum();
+        first..first + self.classes[class as usize]
+    }
+
+    /// Bytes of all its vertices; the indices follow.
+    pub fn vertex_bytes(&self) -> usize {
+        self.vertices as usize * self.vertex_layout().vertex_bytes()
+    }
 }
 
 /// An instance's placement: 96 bytes.
@@ -96,8 +142,36 @@ impl Transform {
     }
 }
 
-/// Facts about the whole scene: 64 bytes.
-#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
+/// How good a hierarchy is, as the bake measured it: 64 bytes, all zero where it did not.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable)]
+#[repr(C)]
+pub struct Criteria {
+    /// Leaves.
+    pub leaves: u64,
+    /// Depth of the deepest leaf.
+    pub depth_max: u32,
+    /// Zero.
+    pub reserved: u32,
+    /// Mean depth of the leaves.
+    pub depth_mean: f64,
+    /// Depth of the leaves of a balanced tree with as many of them.
+    pub ideal_depth: f64,
+    /// Overlap of siblings.
+    pub overlap: f64,
+    /// How local leaves are in space.
+    pub localisation: f64,
+    /// Size of a leaf that a tenth of them do not exceed.
+    pub size_p10: u32,
+    /// Its median.
+    pub size_p50: u32,
+    /// The size that nine tenths do not exceed.
+    pub size_p90: u32,
+    /// Zero.
+    pub reserved2: u32,
+}
+
+/// Facts about the whole scene: 224 bytes.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable)]
 #[repr(C)]
 pub struct SceneInfo {
     /// Direction of up.
@@ -114,6 +188,12 @@ pub struct SceneInfo {
     pub seed: u64,
     /// Zero.
     pub reserved2: u64,
+    /// Digest of the inputs and settings the bake was given; zero if unknown.
+    pub key: [u8; 32],
+    /// The hierarchy as it was built.
+    pub tree: Criteria,
+    /// One built without the bake's care for objects and space, for comparison.
+    pub plain: Criteria,
 }
 
 /// The skeleton.
@@ -125,10 +205,14 @@ pub struct Skeleton {
     pub hlods: Vec<Hlod>,
     /// Levels of all hlods.
     pub levels: Vec<Level>,
+    /// Parts of all levels, level after level.
+    pub parts: Vec<Part>,
     /// Meshes.
     pub blobs: Vec<Blob>,
     /// Placements of instances.
     pub transforms: Vec<Transform>,
+    /// Textures.
+    pub textures: Vec<Texture>,
 }
 
 impl Skeleton {
@@ -152,9 +236,14 @@ impl Skeleton {
         (hlod.first_child..hlod.first_child + hlod.child_count).map(HlodId)
     }
 
-    /// Placement of a level.
-    pub fn transform_of(&self, level: &Level) -> Transform {
-        match level.transform {
+    /// Parts of `level`.
+    pub fn parts_of(&self, level: &Level) -> &[Part] {
+        &self.parts[level.first_part as usize..][..level.part_count as usize]
+    }
+
+    /// Placement of a part.
+    pub fn transform_of(&self, part: &Part) -> Transform {
+        match part.transform {
             super::NONE => Transform::IDENTITY,
             index => self.transforms[index as usize],
         }

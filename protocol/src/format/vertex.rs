@@ -1,4 +1,4 @@
-//! A vertex as it lies in a geometry page and in GPU memory: 16 bytes.
+//! A vertex as it lies in a geometry page and in GPU memory: 16 bytes, 32 where it is textured.
 //!
 //! A blob is `vertices` of these, then `3 * triangles` 16-bit indices, the end padded with zeros to 4
 //! bytes. Positions are 21-bit unsigned integers in units of the blob's power-of-two `step`, from its
@@ -67,6 +67,81 @@ impl Vertex {
         let fold = (-z).max(0.0);
         let toward = |v: f32| if v >= 0.0 { v - fold } else { v + fold };
         [toward(x), toward(y), z]
+    }
+}
+
+/// A vertex of a mesh with textures or a mask: 32 bytes.
+#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+pub struct TexturedVertex {
+    /// Place, normal and a colour that multiplies the texture's.
+    pub plain: Vertex,
+    /// Texture coordinates, not wrapped: the whole texture spans 0 to 1, from the first pixel of the
+    /// first row.
+    pub tex_coord: [f32; 2],
+    /// Index into the texture table, or [`super::NONE`]; a triangle takes it from its first corner.
+    pub texture: u32,
+    /// Least alpha at which a masked triangle is there, taken from its first corner; 0 in other classes.
+    pub cutoff: f32,
+}
+
+/// What the vertices of a blob are.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[repr(u32)]
+pub enum Layout {
+    /// [`Vertex`].
+    Plain = 0,
+    /// [`TexturedVertex`].
+    Textured = 1,
+}
+
+impl Layout {
+    /// The layout of a number in a file.
+    pub fn of(number: u32) -> Option<Self> {
+        [Self::Plain, Self::Textured].into_iter().find(|&layout| layout as u32 == number)
+    }
+
+    /// Bytes of one vertex.
+    pub fn vertex_bytes(self) -> usize {
+        match self {
+            Self::Plain => size_of::<Vertex>(),
+            Self::Textured => size_of::<TexturedVertex>(),
+        }
+    }
+}
+
+/// Vertices of a mesh that is to be written.
+#[derive(Debug, Clone, Copy)]
+pub enum Vertices<'a> {
+    /// Without textures.
+    Plain(&'a [Vertex]),
+    /// With textures or masks.
+    Textured(&'a [TexturedVertex]),
+}
+
+impl Vertices<'_> {
+    /// What they are.
+    pub fn layout(&self) -> Layout {
+        match self {
+            Self::Plain(_) => Layout::Plain,
+            Self::Textured(_) => Layout::Textured,
+        }
+    }
+
+    /// How many.
+    pub fn count(&self) -> usize {
+        match self {
+            Self::Plain(vertices) => vertices.len(),
+            Self::Textured(vertices) => vertices.len(),
+        }
+    }
+
+    /// As they lie in a file.
+    pub(super) fn bytes(&self) -> &[u8] {
+        match self {
+            Self::Plain(vertices) => bytemuck::cast_slice(vertices),
+            Self::Textured(vertices) => bytemuck::cast_slice(vertices),
+        }
     }
 }
 

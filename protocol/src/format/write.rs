@@ -1,19 +1,20 @@
-//! Writing a scene file: geometry streamed out as it comes, skeleton and header last.
+//! Writing a scene file: geometry streamed out as it comes, then pixels, skeleton and header.
 //!
 //! Everything goes to a temporary name in the same folder and is published by a rename, so a reader
 //! sees the old file or the new one, whole, and a map of the old one stays valid.
 
 use super::layout::{HEADER_BYTES, Header};
 use super::mesh;
-use super::{ALIGNMENT, Blob, Digest, Hlod, Level, NONE, SceneInfo, Section, Skeleton, Transform};
-use super::{Vertex, Violation, check};
+use super::texture::{self, Texture, Wrap};
+use super::{ALIGNMENT, Blob, Digest, Hlod, Level, NONE, Part, SceneInfo, Section, Skeleton};
+use super::{Class, Transform, Vertices, Violation, check};
 use crate::id::BlobId;
 use std::fs::{File, OpenOptions};
-use std::io::{self, BufWriter, Seek, SeekFrom, Write};
+use std::io::{self, BufWriter, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// Why a scene file could not be written. The temporary file is gone.
+/// Why a scene file could not be written. A temporary file is gone, a working file kept.
 #[derive(Debug, thiserror::Error)]
 pub enum WriteError {
     /// The temporary file could not be made.
@@ -40,6 +41,14 @@ pub enum WriteError {
         /// The system's reason.
         source: io::Error,
     },
+    /// The working file is not what the state says.
+    #[error("{}: cannot be gone on with: {reason}; remove it and begin again", path.display())]
+    Resume {
+        /// The working file.
+        path: PathBuf,
+        /// What is wrong.
+        reason: String,
+    },
     /// More blobs than 32 bits count.
     #[error("{}: the scene has too many meshes; raise the triangles a mesh", path.display())]
     TooMany {
@@ -65,7 +74,17 @@ pub struct Finished {
     pub bytes: u64,
 }
 
-/// Writes one scene file. Dropped before [`SceneWriter::finish`] it leaves nothing behind.
+/// How far a writer has come: what [`SceneWriter::resume`] needs beside the working file.
+#[derive(Debug, Clone, PartialEq)]
+pub struct WriterState {
+    /// The blobs so far.
+    pub blobs: Vec<Blob>,
+    /// Bytes of geometry so far, a multiple of [`ALIGNMENT`].
+    pub geometry_bytes: u64,
+}
+
+/// Writes one scene file. Dropped before [`SceneWriter::finish`] it leaves nothing behind, but for a
+/// working file that the caller named.
 #[derive(Debug)]
 pub struct SceneWriter {
     path: PathBuf,
@@ -73,9 +92,10 @@ pub struct SceneWriter {
     file: BufWriter<File>,
     /// Has seen every byte after the header so far.
     hasher: blake3::Hasher,
-    /// Bytes of geometry so far, a multiple of [`ALIGNMENT`].
-    geometry_bytes: u64,
-    blobs: Vec<Blob>,
+    so_far: WriterState,
+    /// Bytes of pixels so far, a multiple of [`ALIGNMENT`].
+    pixel_bytes: u64,
+    textures: Vec<Texture>,
 }
 
 impl SceneWriter {
@@ -86,16 +106,81 @@ impl SceneWriter {
             return Err(to_create(io::ErrorKind::IsADirectory.into()));
         }
         let (temporary, file) = Temporary::create(path).map_err(to_create)?;
-        let mut writer = Self {
+        Self::start(path, temporary, file)
+    }
+
+    /// Starts the file that will become `path` under the name `working` in the same file system,
+    /// in place of what has that name. It stays there until [`SceneWriter::finish`] renames it.
+    pub fn create_at(working: &Path, path: &Path) -> Result<Self, WriteError> {
+        let to_create = |source| WriteError::Create { path: working.to_path_buf(), source };
+        let file = File::create(working).map_err(to_create)?;
+        Self::start(path, Temporary::named(working), file)
+    }
+
+    fn start(path: &Path, temporary: Temporary, file: File) -> Result<Self, WriteError> {
+        let so_far = WriterState { blobs: Vec::new(), geometry_bytes: 0 };
+        let mut writer = Self::over(path, temporary, file, so_far);
+        // The header's place; zeros are no magic, so what a crash leaves is not mistaken for a scene.
+        writer.file.write_all(&[0; HEADER_BYTES]).map_err(|e| writer.write_error(e))?;
+        Ok(writer)
+    }
+
+    fn over(path: &Path, temporary: Temporary, file: File, so_far: WriterState) -> Self {
+        Self {
             path: path.to_path_buf(),
             temporary,
             file: BufWriter::with_capacity(1 << 20, file),
             hasher: blake3::Hasher::new(),
-            geometry_bytes: 0,
-            blobs: Vec::new(),
+            so_far,
+            pixel_bytes: 0,
+            textures: Vec::new(),
+        }
+    }
+
+    /// Hands all geometry so far to the system and says how far that is: a killed process goes on from
+    /// there, a machine that lost its power may not.
+    ///
+    /// # Panics
+    /// Once there is a texture: pixels lie behind all geometry.
+    pub fn checkpoint(&mut self) -> Result<WriterState, WriteError> {
+        assert!(self.textures.is_empty(), "textures are written in one go");
+        self.file.flush().map_err(|e| self.write_error(e))?;
+        Ok(self.so_far.clone())
+    }
+
+    /// Goes on from a checkpoint of a writer made by [`SceneWriter::create_at`]: cuts the working file
+    /// to it and reads it back. Of `state` and the file nothing is believed that can be checked.
+    pub fn resume(working: &Path, path: &Path, state: WriterState) -> Result<Self, WriteError> {
+        let to_create = |source| WriteError::Create { path: working.to_path_buf(), source };
+        let file = OpenOptions::new().read(true).write(true).open(working).map_err(to_create)?;
+        let bad = |reason: String| WriteError::Resume { path: working.to_path_buf(), reason };
+        check::check_blobs(&state.blobs).map_err(|violation| bad(violation.to_string()))?;
+        let end = state.blobs.last().map_or(0, |b| b.offset + b.bytes);
+        if state.geometry_bytes != end.next_multiple_of(ALIGNMENT) {
+            return Err(bad("its blobs do not make its length".to_owned()));
+        }
+        let total = HEADER_BYTES as u64 + state.geometry_bytes;
+        let cut = || -> io::Result<bool> {
+            let long_enough = file.metadata()?.len() >= total;
+            if long_enough {
+                file.set_len(total)?;
+                (&file).seek(SeekFrom::Start(HEADER_BYTES as u64))?;
+            }
+            Ok(long_enough)
         };
-        // The header's place; zeros are no magic, so what a crash leaves is not mistaken for a scene.
-        writer.file.write_all(&[0; HEADER_BYTES]).map_err(|e| writer.write_error(e))?;
+        if !cut().map_err(|e| bad(e.to_string()))? {
+            return Err(bad("it is shorter than it was".to_owned()));
+        }
+        let mut writer = Self::over(path, Temporary::named(working), file, state);
+        let mut content = Vec::new();
+        for (id, blob) in writer.so_far.blobs.iter().enumerate() {
+            content.resize(blob.bytes.next_multiple_of(ALIGNMENT) as usize, 0);
+            writer.file.get_ref().read_exact(&mut content).map_err(|e| bad(e.to_string()))?;
+            if crc32c::crc32c(&content[..blob.bytes as usize]) != blob.crc {
+                return Err(bad(format!("blob {id} is damaged")));
+            }
+            writer.hasher.update(&content);
+        }
         Ok(writer)
     }
 
@@ -110,70 +195,104 @@ impl SceneWriter {
         }
     }
 
-    /// Appends a mesh: `origin` and `step` place its grid in mesh space.
+    /// Appends a mesh: `origin` and `step` place its grid in mesh space. Its triangles are sorted by
+    /// [`Class`] and counted in `classes`.
     ///
     /// # Panics
-    /// If `step` is no power of two, `origin` not finite, or the mesh breaks the rules of
-    /// [`super::vertex`] (no triangle, an index without a vertex, too many vertices).
+    /// If `step` is no power of two, `origin` not finite, `classes` do not add up to the triangles or
+    /// count masked ones of plain vertices, the mesh breaks the rules of [`super::vertex`] (no
+    /// triangle, an index without a vertex, too many vertices), or there is a texture already.
     pub fn add_blob(
         &mut self,
         origin: [f64; 3],
         step: f64,
-        vertices: &[Vertex],
+        vertices: Vertices<'_>,
         indices: &[u16],
+        classes: [u32; Class::COUNT],
     ) -> Result<BlobId, WriteError> {
+        assert!(self.textures.is_empty(), "pixels lie behind all geometry");
         assert!(check::is_power_of_two(step), "step {step} is no power of two");
         assert!(origin.iter().all(|c| c.is_finite()), "origin {origin:?}");
-        if self.blobs.len() as u64 >= u64::from(NONE) - 1 {
+        if self.so_far.blobs.len() as u64 >= u64::from(NONE) - 1 {
             return Err(WriteError::TooMany { path: self.path.clone() });
         }
         let bytes = mesh::encode(vertices, indices);
-        let id = BlobId(self.blobs.len() as u32);
-        self.blobs.push(Blob {
+        let blob = Blob {
             origin,
             step,
-            offset: self.geometry_bytes,
+            offset: self.so_far.geometry_bytes,
             bytes: bytes.len() as u64,
-            vertices: vertices.len() as u32,
+            vertices: vertices.count() as u32,
             triangles: (indices.len() / 3) as u32,
+            crc: crc32c::crc32c(&bytes),
+            layout: vertices.layout() as u32,
+            classes,
+            reserved: [0; 2],
+        };
+        let sum: u64 = classes.iter().map(|&n| u64::from(n)).sum();
+        assert_eq!(sum, u64::from(blob.triangles), "classes {classes:?}");
+        let masked = Class::ALL.iter().any(|class| class.is_mask() && blob.has(*class));
+        assert!(blob.is_textured() || !masked, "plain vertices hold no cutoff");
+        let id = BlobId(self.so_far.blobs.len() as u32);
+        self.so_far.blobs.push(blob);
+        self.so_far.geometry_bytes += self.append(&bytes)?;
+        Ok(id)
+    }
+
+    /// Appends a texture of sRGB-encoded RGBA rows and its mips, after the last blob; returns its index.
+    ///
+    /// # Panics
+    /// As [`texture::mips`].
+    pub fn add_texture(
+        &mut self,
+        side: u32,
+        wrap: [Wrap; 2],
+        rgba: &[u8],
+    ) -> Result<u32, WriteError> {
+        let bytes = texture::mips(side, rgba);
+        let index = self.textures.len() as u32;
+        self.textures.push(Texture {
+            offset: self.pixel_bytes,
+            bytes: bytes.len() as u64,
+            side,
+            wrap: Wrap::pack(wrap),
             crc: crc32c::crc32c(&bytes),
             reserved: 0,
         });
-        self.geometry_bytes += self.append(&bytes)?;
-        Ok(id)
+        self.pixel_bytes += self.append(&bytes)?;
+        Ok(index)
     }
 
     /// A blob added before.
     pub fn blob(&self, id: BlobId) -> &Blob {
-        &self.blobs[id.index()]
+        &self.so_far.blobs[id.index()]
     }
 
     /// Writes skeleton and header, syncs, and gives the file its name.
     ///
-    /// The same calls in the same order give the same bytes.
+    /// The same calls in the same order give the same bytes, resumed or not.
     pub fn finish(
         mut self,
         info: SceneInfo,
         hlods: Vec<Hlod>,
         levels: Vec<Level>,
+        parts: Vec<Part>,
         transforms: Vec<Transform>,
     ) -> Result<Finished, WriteError> {
-        let blobs = std::mem::take(&mut self.blobs);
-        let skeleton = Skeleton { info, hlods, levels, blobs, transforms };
+        let blobs = std::mem::take(&mut self.so_far.blobs);
+        let textures = std::mem::take(&mut self.textures);
+        let skeleton = Skeleton { info, hlods, levels, parts, blobs, transforms, textures };
         if let Err(source) = check(&skeleton) {
             return Err(WriteError::Invalid { path: self.path.clone(), source });
         }
-        let contents = contents(&skeleton);
-        for content in contents {
+        let mut bytes = [0; Section::ALL.len()];
+        let mut crcs = [0; Section::ALL.len()];
+        (bytes[0], bytes[1]) = (self.so_far.geometry_bytes, self.pixel_bytes);
+        for (row, content) in (2..).zip(contents(&skeleton)) {
             self.append(content)?;
+            (bytes[row], crcs[row]) = (content.len() as u64, crc32c::crc32c(content));
         }
-        let [i, h, l, b, t] = contents.map(|c| c.len() as u64);
-        let crcs = contents.map(crc32c::crc32c);
-        let mut header = Header::new(
-            [self.geometry_bytes, i, h, l, b, t],
-            [0, crcs[0], crcs[1], crcs[2], crcs[3], crcs[4]],
-        )
-        .expect("what was written has a length");
+        let mut header = Header::new(bytes, crcs).expect("what was written has a length");
         header.digest = header.digest(self.hasher.clone());
         header.crc = header.expected_crc();
         self.publish(&header)?;
@@ -211,13 +330,15 @@ impl SceneWriter {
 }
 
 /// The skeleton's sections in file order.
-fn contents(skeleton: &Skeleton) -> [&[u8]; Section::ALL.len() - 1] {
+fn contents(skeleton: &Skeleton) -> [&[u8]; Section::ALL.len() - 2] {
     [
         bytemuck::bytes_of(&skeleton.info),
         bytemuck::cast_slice(&skeleton.hlods),
         bytemuck::cast_slice(&skeleton.levels),
+        bytemuck::cast_slice(&skeleton.parts),
         bytemuck::cast_slice(&skeleton.blobs),
         bytemuck::cast_slice(&skeleton.transforms),
+        bytemuck::cast_slice(&skeleton.textures),
     ]
 }
 
@@ -229,14 +350,20 @@ fn folder_of(path: &Path) -> &Path {
     }
 }
 
-/// A file that is removed unless it is published.
+/// A file that is removed unless it is published or was named by the caller.
 #[derive(Debug)]
 struct Temporary {
     /// `None` once published.
     path: Option<PathBuf>,
+    kept: bool,
 }
 
 impl Temporary {
+    /// The caller's own file.
+    fn named(working: &Path) -> Self {
+        Self { path: Some(working.to_path_buf()), kept: true }
+    }
+
     /// Makes a file beside `target` that no other writer has, of this process or another.
     fn create(target: &Path) -> io::Result<(Self, File)> {
         static COUNTER: AtomicU64 = AtomicU64::new(0);
@@ -247,7 +374,7 @@ impl Temporary {
             temporary.push(format!("{count}.tmp"));
             let path = folder_of(target).join(temporary);
             match OpenOptions::new().write(true).create_new(true).open(&path) {
-                Ok(file) => return Ok((Self { path: Some(path) }, file)),
+                Ok(file) => return Ok((Self { path: Some(path), kept: false }, file)),
                 // Left over from a process that had the same id: take the next name.
                 Err(e) if e.kind() == io::ErrorKind::AlreadyExists => {}
                 Err(e) => return Err(e),
@@ -278,7 +405,7 @@ impl Temporary {
 
 impl Drop for Temporary {
     fn drop(&mut self) {
-        if let Some(path) = &self.path {
+        if let (Some(path), false) = (&self.path, self.kept) {
             // Nobody is left to tell if this fails; the name says what the file is.
             let _ = std::fs::remove_file(path);
         }

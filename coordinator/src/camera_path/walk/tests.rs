@@ -1,7 +1,7 @@
 use super::super::generate::{GenerateError, PathKind, generate_within};
 use super::super::{cameras, near_plane};
 use super::*;
-use protocol::format::{Blob, Hlod, Level, NONE, SceneInfo, Skeleton, Vertex};
+use protocol::format::{Blob, Class, Hlod, Level, NONE, Part, SceneInfo, Skeleton, Vertex};
 use protocol::id::BlobId;
 use std::convert::Infallible;
 
@@ -32,19 +32,13 @@ fn scene(boxes: &[[[f64; 3]; 2]], up: [f64; 3], shift: f64) -> (Skeleton, Vec<Ve
         ..hlod(moved([low(0), low(1), low(2)]), moved([high(0), high(1), high(2)]))
     };
     let mut skeleton = Skeleton {
-        info: SceneInfo {
-            up,
-            source_triangles: 0,
-            unique_triangles: 0,
-            objects: boxes.len() as u32,
-            reserved: 0,
-            seed: 0,
-            reserved2: 0,
-        },
+        info: SceneInfo { up, objects: boxes.len() as u32, ..SceneInfo::default() },
         hlods: vec![root],
         levels: Vec::new(),
+        parts: Vec::new(),
         blobs: Vec::new(),
         transforms: Vec::new(),
+        textures: Vec::new(),
     };
     let mut bytes = Vec::new();
     for (i, [min, max]) in boxes.iter().enumerate() {
@@ -54,8 +48,9 @@ fn scene(boxes: &[[[f64; 3]; 2]], up: [f64; 3], shift: f64) -> (Skeleton, Vec<Ve
             ..hlod(moved(*min), moved(*max))
         });
         let level =
-            Level { error: 0.0, blob: i as u32, transform: NONE, triangles: 12, reserved: 0 };
+            Level { error: 0.0, first_part: i as u32, part_count: 1, triangles: 12, reserved: 0 };
         skeleton.levels.push(level);
+        skeleton.parts.push(Part { blob: i as u32, transform: NONE });
         let mut data = Vec::new();
         for corner in 0..8 {
             let grid = std::array::from_fn(|k| {
@@ -78,8 +73,8 @@ fn scene(boxes: &[[[f64; 3]; 2]], up: [f64; 3], shift: f64) -> (Skeleton, Vec<Ve
             bytes: data.len() as u64,
             vertices: 8,
             triangles: 12,
-            crc: 0,
-            reserved: 0,
+            classes: Class::OpaqueDouble.all(12),
+            ..Blob::default()
         });
         bytes.push(data);
     }

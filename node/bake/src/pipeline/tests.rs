@@ -79,10 +79,11 @@ impl Baked {
     /// World triangles of a level as a reader decodes them.
     fn triangles(&self, level: &Level) -> Vec<[DVec3; 3]> {
         let file = File::open(&self.path).unwrap();
-        let id = protocol::id::BlobId(level.blob);
+        let part = self.skeleton().parts_of(level)[0];
+        let id = protocol::id::BlobId(part.blob);
         let bytes = read_blob(&file, &self.scene, id).unwrap();
         let blob = self.skeleton().blob(id);
-        let transform = self.skeleton().transform_of(level);
+        let transform = self.skeleton().transform_of(&part);
         let (vertices, rest) = bytes.split_at(16 * blob.vertices as usize);
         let positions: Vec<DVec3> = vertices
             .chunks(16)
@@ -198,7 +199,8 @@ fn a_large_object_is_split_into_pieces_that_close() {
     let steps: Vec<f64> = pipe
         .leaves()
         .map(|(_, leaf)| {
-            pipe.skeleton().blobs[pipe.skeleton().levels_of(leaf)[0].blob as usize].step
+            let level = pipe.skeleton().levels_of(leaf)[0];
+            pipe.skeleton().blobs[pipe.skeleton().parts_of(&level)[0].blob as usize].step
         })
         .collect();
     assert!(steps.iter().all(|&step| step == steps[0]));
@@ -263,7 +265,8 @@ fn instances_share_their_meshes_and_scale_their_errors() {
         let leaf = park.leaves().find(|(_, leaf)| leaf.object == object).unwrap().1;
         park.skeleton().levels_of(leaf)[0]
     };
-    assert!((1..8).all(|object| of(object).blob == of(0).blob));
+    let blob = |object| park.skeleton().parts_of(&of(object))[0].blob;
+    assert!((1..8).all(|object| blob(object) == blob(0)));
     let ratio = of(3).error / of(0).error;
     assert!((ratio - 2.0).abs() < 1e-6, "{ratio}");
     assert_eq!(park.summary.source_triangles, 8 * 960);

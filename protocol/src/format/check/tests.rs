@@ -1,5 +1,5 @@
 use super::*;
-use crate::format::{Level, fixture};
+use crate::format::{Level, Part, fixture};
 
 /// The rule that breaks once `change` is applied to a sound skeleton.
 fn broken(change: impl FnOnce(&mut Skeleton)) -> Violation {
@@ -39,8 +39,8 @@ fn links_must_form_a_tree() {
 /// A chain of `n` hlods.
 fn chain(n: u32) -> Skeleton {
     let mut skeleton = fixture::skeleton();
-    let leaf = Hlod { source_triangles: 3, first_level: 0, level_count: 4, ..skeleton.hlods[0] };
-    skeleton.levels.sort_by(|a, b| a.error.total_cmp(&b.error));
+    let leaf = Hlod { source_triangles: 4, first_level: 0, level_count: 4, ..skeleton.hlods[0] };
+    skeleton.levels.iter_mut().zip([0.0, 0.1, 0.2, 0.3]).for_each(|(l, error)| l.error = error);
     skeleton.hlods = (0..n)
         .map(|i| Hlod {
             parent: i.checked_sub(1).unwrap_or(NONE),
@@ -77,21 +77,90 @@ fn counts_and_indices_of_hlods() {
     assert_eq!(broken(|s| s.hlods[1].level_count = 2).place, Place::Level(2));
     assert_eq!(broken(|s| s.hlods[0].level_count = 0).rule, Rule::Owners { owners: 0 });
     assert_eq!(broken(|s| s.hlods[2].object = 2).rule, Rule::Object { object: 2 });
-    let sum = Rule::SourceTriangles { said: 3, sum: 4 };
-    assert_eq!(broken(|s| s.hlods[1].source_triangles = 2).rule, sum);
-    assert_eq!(broken(|s| s.info.source_triangles = 4).place, Place::Info);
+    let sum = Rule::SourceTriangles { said: 4, sum: 5 };
+    assert_eq!(broken(|s| s.hlods[1].source_triangles = 3).rule, sum);
+    assert_eq!(broken(|s| s.info.source_triangles = 5).place, Place::Info);
     assert_eq!(broken(|s| s.hlods[1].source_triangles = u64::MAX).place, hlod(0));
 }
 
 #[test]
 fn levels_name_what_exists() {
     let level = |change: fn(&mut Level)| broken(|s| change(&mut s.levels[3])).rule;
-    assert_eq!(level(|l| l.blob = 3), Rule::NoBlob { blob: 3 });
-    assert_eq!(level(|l| l.transform = 1), Rule::NoTransform { transform: 1 });
     assert_eq!(level(|l| l.triangles = 2), Rule::Triangles { said: 2, found: 1 });
     assert_eq!(level(|l| l.reserved = 1), Rule::Reserved);
     assert_eq!(level(|l| l.error = -0.1), Rule::Error { error: -0.1 });
     assert!(matches!(level(|l| l.error = f64::NAN), Rule::Error { .. }));
+}
+
+#[test]
+fn parts_name_what_exists() {
+    let part = |change: fn(&mut Part)| broken(|s| change(&mut s.parts[4]));
+    assert_eq!(part(|p| p.blob = 4).rule, Rule::NoBlob { blob: 4 });
+    assert_eq!(part(|p| p.blob = NONE).place, Place::Part(4));
+    assert_eq!(part(|p| p.transform = 1).rule, Rule::NoTransform { transform: 1 });
+    // Another mesh of other size.
+    assert_eq!(part(|p| p.blob = 1).rule, Rule::Triangles { said: 1, found: 2 });
+}
+
+#[test]
+fn parts_follow_each_other_level_after_level() {
+    let range = |first, count, expected| Rule::PartRange { first, count, expected };
+    assert_eq!(broken(|s| s.levels[1].first_part = 0).rule, range(0, 2, 1));
+    assert_eq!(broken(|s| s.levels[1].first_part = u32::MAX).place, Place::Level(1));
+    assert_eq!(broken(|s| s.levels[0].part_count = 0).rule, range(0, 0, 0));
+    assert_eq!(broken(|s| s.levels[3].part_count = 2).rule, range(4, 2, 4));
+    assert_eq!(broken(|s| s.levels[3].part_count = u32::MAX).rule, range(4, u32::MAX, 4));
+    // Nobody's part.
+    let stray = broken(|s| s.parts.push(s.parts[0]));
+    assert_eq!(stray, Violation { place: Place::Part(5), rule: Rule::StrayPart });
+    assert_eq!(broken(|s| s.parts.clear()).rule, range(0, 1, 0));
+}
+
+#[test]
+fn triangles_have_classes_and_masks_textured_vertices() {
+    let layout = broken(|s| s.blobs[0].layout = 2);
+    assert_eq!(layout, Violation { place: blob(0), rule: Rule::Layout { layout: 2 } });
+    // A textured mesh has more bytes.
+    assert!(matches!(broken(|s| s.blobs[0].layout = 1).rule, Rule::MeshSize { .. }));
+    let classes = Rule::Classes { sum: 3, triangles: 2 };
+    assert_eq!(broken(|s| s.blobs[1].classes[3] = 1).rule, classes);
+    let most = broken(|s| s.blobs[1].classes = [u32::MAX; 6]).rule;
+    assert_eq!(most, Rule::Classes { sum: 6 * u64::from(u32::MAX), triangles: 2 });
+    for class in [Class::MaskSingle, Class::MaskDouble] {
+        let plain = broken(|s| s.blobs[1].classes = class.all(2));
+        assert_eq!(plain, Violation { place: blob(1), rule: Rule::PlainMask });
+    }
+}
+
+#[test]
+fn textures_are_squares_with_all_their_mips_in_a_row() {
+    let texture = |change: fn(&mut Texture)| broken(|s| change(&mut s.textures[0]));
+    assert_eq!(texture(|t| t.side = 3).place, Place::Texture(0));
+    assert_eq!(texture(|t| t.side = 0).rule, Rule::Side { side: 0 });
+    assert_eq!(texture(|t| t.side = 8192).rule, Rule::Side { side: 8192 });
+    assert_eq!(texture(|t| t.wrap = 3).rule, Rule::Wrap { wrap: 3 });
+    assert_eq!(texture(|t| t.side = 4).rule, Rule::TextureSize { bytes: 20, expected: 84 });
+    assert_eq!(texture(|t| t.offset = 64).rule, Rule::Offset { offset: 64, expected: 0 });
+    assert_eq!(texture(|t| t.reserved = 1).rule, Rule::Reserved);
+    let second = broken(|s| s.textures.push(s.textures[0]));
+    let rule = Rule::Offset { offset: 0, expected: 64 };
+    assert_eq!(second, Violation { place: Place::Texture(1), rule });
+}
+
+#[test]
+fn measured_qualities_are_finite_and_not_negative() {
+    let measures: [fn(&mut Criteria) -> &mut f64; 4] = [
+        |c| &mut c.depth_mean,
+        |c| &mut c.ideal_depth,
+        |c| &mut c.overlap,
+        |c| &mut c.localisation,
+    ];
+    for measure in measures {
+        assert_eq!(broken(|s| *measure(&mut s.info.tree) = -0.5).rule, Rule::Negative);
+        assert_eq!(broken(|s| *measure(&mut s.info.plain) = f64::NAN).rule, Rule::NotFinite);
+    }
+    assert_eq!(broken(|s| s.info.tree.reserved = 1).rule, Rule::Reserved);
+    assert_eq!(broken(|s| s.info.plain.reserved2 = 1).rule, Rule::Reserved);
 }
 
 #[test]
@@ -129,15 +198,15 @@ fn blobs_are_meshes_in_a_row() {
     assert_eq!(broken(|s| s.blobs[0].bytes += 4).place, blob(0));
     assert_eq!(broken(|s| s.blobs[0].vertices = 0).place, blob(0));
     assert_eq!(broken(|s| s.blobs[0].origin[1] = f64::NAN).rule, Rule::NotFinite);
-    assert_eq!(broken(|s| s.blobs[0].reserved = 1).rule, Rule::Reserved);
+    assert_eq!(broken(|s| s.blobs[0].reserved[1] = 1).rule, Rule::Reserved);
     let large = broken(|s| {
         s.blobs[2].vertices = MAX_BLOB_VERTICES as u32 + 1;
-        s.blobs[2].bytes = mesh_bytes(s.blobs[2].vertices, s.blobs[2].triangles);
+        s.blobs[2].bytes = mesh_bytes(Layout::Plain, s.blobs[2].vertices, s.blobs[2].triangles);
     });
     assert!(matches!(large.rule, Rule::MeshSize { .. }));
     let empty = broken(|s| {
         s.blobs[2].triangles = 0;
-        s.blobs[2].bytes = mesh_bytes(s.blobs[2].vertices, 0);
+        s.blobs[2].bytes = mesh_bytes(Layout::Plain, s.blobs[2].vertices, 0);
     });
     assert!(matches!(empty.rule, Rule::MeshSize { triangles: 0, .. }));
 }

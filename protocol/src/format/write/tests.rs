@@ -16,6 +16,7 @@ fn what_is_written_is_read() {
     assert_eq!((scene.digest, scene.file_bytes), (finished.digest, finished.bytes));
     assert_eq!(scene.skeleton.hlods, fixture::hlods());
     assert_eq!(scene.skeleton.levels, fixture::levels());
+    assert_eq!(scene.skeleton.parts, fixture::parts());
     assert_eq!(scene.skeleton.transforms, fixture::transforms());
     assert_eq!(scene.skeleton.info, fixture::info());
 
@@ -23,7 +24,97 @@ fn what_is_written_is_read() {
     let wide = read_blob(&file, &scene, BlobId(2)).unwrap();
     let vertices: Vec<_> = mesh::vertices_of(scene.skeleton.blob(BlobId(2)), &wide).collect();
     assert_eq!(vertices, fixture::grid(&[[0, 0, 0], [5, 0, 0], [0, 1, 1]]));
+    let leaf = read_blob(&file, &scene, BlobId(3)).unwrap();
+    let vertices: Vec<_> =
+        mesh::textured_vertices_of(scene.skeleton.blob(BlobId(3)), &leaf).collect();
+    assert_eq!(vertices, fixture::leaf());
+    let [texture] = scene.skeleton.textures[..] else { panic!("one texture") };
+    assert_eq!(Wrap::unpack(texture.wrap), Some([Wrap::Repeat, Wrap::Mirror]));
+    let range = scene.texture_range(0);
+    let pixels = &std::fs::read(&path).unwrap()[range.start as usize..range.end as usize];
+    assert_eq!(pixels, texture::mips(2, &fixture::PIXELS));
+    assert!(texture.is_made_of(pixels) && !texture.is_made_of(&pixels[1..]));
     assert_eq!(names(folder.path()), ["scene.occ"]);
+}
+
+#[test]
+fn a_writer_that_is_killed_goes_on_to_the_same_bytes() {
+    let folder = tempfile::tempdir().unwrap();
+    let (working, path) = (folder.path().join("bake.part"), folder.path().join("scene.occ"));
+    let corner = fixture::grid(&[[0, 0, 0], [4, 0, 0], [0, 4, 0]]);
+    let add = |writer: &mut SceneWriter| {
+        let opaque = Class::OpaqueSingle.all(1);
+        writer.add_blob([0.0; 3], 1.0, Vertices::Plain(&corner), &[0, 1, 2], opaque).unwrap();
+    };
+    let mut writer = SceneWriter::create_at(&working, &path).unwrap();
+    let empty = writer.checkpoint().unwrap();
+    fixture::add_blobs(&mut writer);
+    let state = writer.checkpoint().unwrap();
+    assert_eq!((state.blobs.len(), empty.geometry_bytes), (4, 0));
+    // What comes after the checkpoint is lost with the process.
+    add(&mut writer);
+    drop(writer);
+    assert_eq!(names(folder.path()), ["bake.part"]);
+    for state in [state, empty] {
+        let again = state.blobs.is_empty();
+        let mut writer = SceneWriter::resume(&working, &path, state).unwrap();
+        assert_eq!(writer.checkpoint().unwrap().blobs.len(), if again { 0 } else { 4 });
+        if again {
+            fixture::add_blobs(&mut writer);
+        }
+        fixture::add_texture(&mut writer);
+        let (hlods, levels, parts) = (fixture::hlods(), fixture::levels(), fixture::parts());
+        writer.finish(fixture::info(), hlods, levels, parts, fixture::transforms()).unwrap();
+        assert_eq!(names(folder.path()), ["scene.occ"]);
+        assert_eq!(std::fs::read(&path).unwrap(), fixture::bytes());
+        std::fs::rename(&path, &working).unwrap();
+    }
+}
+
+#[test]
+fn a_working_file_that_does_not_fit_its_state_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let (working, path) = (folder.path().join("bake.part"), folder.path().join("scene.occ"));
+    let mut writer = SceneWriter::create_at(&working, &path).unwrap();
+    fixture::add_blobs(&mut writer);
+    let state = writer.checkpoint().unwrap();
+    drop(writer);
+    let bytes = std::fs::read(&working).unwrap();
+    let refused = |state: &WriterState| {
+        let error = SceneWriter::resume(&working, &path, state.clone()).unwrap_err();
+        assert!(error.to_string().contains("bake.part"), "{error}");
+        error
+    };
+    let changed = |change: fn(&mut WriterState)| {
+        let mut state = state.clone();
+        change(&mut state);
+        assert!(matches!(refused(&state), WriteError::Resume { .. }));
+    };
+    changed(|s| s.geometry_bytes += 64);
+    changed(|s| s.blobs.truncate(3));
+    changed(|s| s.blobs[1].crc ^= 1);
+    changed(|s| s.blobs[1].vertices = u32::MAX);
+    changed(|s| s.blobs[0].layout = 9);
+    std::fs::write(&working, &bytes[..bytes.len() - 1]).unwrap();
+    assert!(matches!(refused(&state), WriteError::Resume { .. }));
+    let mut damaged = bytes.clone();
+    damaged[HEADER_BYTES + 3] ^= 1;
+    std::fs::write(&working, damaged).unwrap();
+    assert!(refused(&state).to_string().contains("blob 0 is damaged"));
+    std::fs::remove_file(&working).unwrap();
+    assert!(matches!(refused(&state), WriteError::Create { .. }));
+    std::fs::write(&working, bytes).unwrap();
+    assert!(SceneWriter::resume(&working, &path, state).is_ok());
+}
+
+#[test]
+#[should_panic(expected = "plain vertices hold no cutoff")]
+fn a_mask_of_plain_vertices_is_our_mistake() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut writer = SceneWriter::create(&folder.path().join("scene.occ")).unwrap();
+    let corner = fixture::grid(&[[0, 0, 0], [4, 0, 0], [0, 4, 0]]);
+    let (vertices, mask) = (Vertices::Plain(&corner), Class::MaskSingle.all(1));
+    let _ = writer.add_blob([0.0; 3], 1.0, vertices, &[0, 1, 2], mask);
 }
 
 #[test]
@@ -35,13 +126,13 @@ fn the_same_scene_gives_the_same_bytes() {
 fn golden_bytes_hold_the_layout_still() {
     // A change here is a change of the format: raise FORMAT_VERSION and tell FORMAT.md.
     let bytes = fixture::bytes();
-    assert_eq!(&bytes[..16], b"\x89OCC\r\n\x1a\n\x01\0\0\0\x04\x03\x02\x01");
+    assert_eq!(&bytes[..16], b"\x89OCC\r\n\x1a\n\x02\0\0\0\x04\x03\x02\x01");
     assert_eq!(bytes.len(), GOLDEN_BYTES);
     assert_eq!(blake3::hash(&bytes).to_hex()[..16], *GOLDEN_HASH);
 }
 
-const GOLDEN_BYTES: usize = 1280;
-const GOLDEN_HASH: &str = "9aec784c8de624b2";
+const GOLDEN_BYTES: usize = 2112;
+const GOLDEN_HASH: &str = "c56dc0d7ce52ec1c";
 
 #[test]
 fn dropping_removes_the_temporary_file() {
@@ -60,7 +151,8 @@ fn a_broken_scene_is_not_written() {
     std::fs::write(&path, "kept").unwrap();
     let mut writer = SceneWriter::create(&path).unwrap();
     fixture::add_blobs(&mut writer);
-    let error = writer.finish(fixture::info(), fixture::hlods(), Vec::new(), Vec::new());
+    let none = (Vec::new(), Vec::new(), Vec::new());
+    let error = writer.finish(fixture::info(), fixture::hlods(), none.0, none.1, none.2);
     let message = error.unwrap_err().to_string();
     assert!(message.contains("scene.occ") && message.contains("hlod 0"), "{message}");
     assert_eq!(names(folder.path()), ["scene.occ"]);
@@ -84,8 +176,9 @@ fn a_failed_rename_removes_the_temporary_file() {
     let mut writer = SceneWriter::create(&path).unwrap();
     fixture::add_blobs(&mut writer);
     std::fs::create_dir(&path).unwrap();
-    let result =
-        writer.finish(fixture::info(), fixture::hlods(), fixture::levels(), fixture::transforms());
+    fixture::add_texture(&mut writer);
+    let (hlods, levels, parts) = (fixture::hlods(), fixture::levels(), fixture::parts());
+    let result = writer.finish(fixture::info(), hlods, levels, parts, fixture::transforms());
     assert!(matches!(result, Err(WriteError::Publish { .. })), "{result:?}");
     assert_eq!(names(folder.path()), ["scene.occ"]);
 }
@@ -100,7 +193,8 @@ fn a_full_disk_is_an_error_that_names_the_file() {
     let full = OpenOptions::new().write(true).open("/dev/full").unwrap();
     writer.file = BufWriter::with_capacity(16, full);
     let corner = fixture::grid(&[[0, 0, 0], [4, 0, 0], [0, 4, 0]]);
-    let error = writer.add_blob([0.0; 3], 0.25, &corner, &[0, 1, 2]).unwrap_err();
+    let (vertices, opaque) = (Vertices::Plain(&corner), Class::OpaqueDouble.all(1));
+    let error = writer.add_blob([0.0; 3], 0.25, vertices, &[0, 1, 2], opaque).unwrap_err();
     assert!(matches!(&error, WriteError::Write { source, .. }
         if source.kind() == io::ErrorKind::StorageFull));
     assert!(error.to_string().contains("scene.occ"), "{error}");

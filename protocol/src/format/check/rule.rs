@@ -1,0 +1,234 @@
+//! The rules of a skeleton by name, and where one is broken.
+
+use super::MAX_DEPTH;
+#[cfg(doc)]
+use crate::format::Skeleton;
+use crate::format::texture::MAX_SIDE;
+use crate::id::{BlobId, HlodId};
+
+/// Where a rule is broken.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Place {
+    /// The scene's facts.
+    Info,
+    /// A hlod.
+    Hlod(HlodId),
+    /// A level, index into [`Skeleton::levels`].
+    Level(u32),
+    /// A part, index into [`Skeleton::parts`].
+    Part(u32),
+    /// A blob.
+    Blob(BlobId),
+    /// A placement, index into [`Skeleton::transforms`].
+    Transform(u32),
+    /// A texture, index into [`Skeleton::textures`].
+    Texture(u32),
+}
+
+impl std::fmt::Display for Place {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Info => f.write_str("the scene's facts"),
+            Self::Hlod(id) => write!(f, "hlod {id}"),
+            Self::Level(index) => write!(f, "level {index}"),
+            Self::Part(index) => write!(f, "part {index}"),
+            Self::Blob(id) => write!(f, "blob {id}"),
+            Self::Transform(index) => write!(f, "transform {index}"),
+            Self::Texture(index) => write!(f, "texture {index}"),
+        }
+    }
+}
+
+/// The rule that is broken.
+#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+pub enum Rule {
+    /// There is a root.
+    #[error("there are no hlods")]
+    NoHlods,
+    /// Spare fields are zero.
+    #[error("a reserved field is not zero")]
+    Reserved,
+    /// No NaN, no infinity.
+    #[error("a number is not finite")]
+    NotFinite,
+    /// Up is a direction.
+    #[error("the up direction has no length")]
+    NoUp,
+    /// Parents come before children and list them.
+    #[error("parent {parent} does not come before it or does not list it")]
+    Parent {
+        /// What the hlod names.
+        parent: u32,
+    },
+    /// Children come after their parent, in range.
+    #[error("its children {first}..+{count} do not follow it in the table")]
+    Children {
+        /// First child.
+        first: u32,
+        /// How many.
+        count: u32,
+    },
+    /// Not deeper than [`MAX_DEPTH`].
+    #[error("it lies deeper than {MAX_DEPTH} hlods")]
+    Depth,
+    /// Boxes hold something.
+    #[error("the least corner of its box exceeds the greatest")]
+    EmptyBox,
+    /// Boxes hold their children's.
+    #[error("its box leaves that of its parent")]
+    OutsideParent,
+    /// Levels in range.
+    #[error("its levels {first}..+{count} are not in the table")]
+    LevelRange {
+        /// First level.
+        first: u32,
+        /// How many.
+        count: u32,
+    },
+    /// Every level belongs to exactly one hlod.
+    #[error("it belongs to {owners} hlods")]
+    Owners {
+        /// How many.
+        owners: u32,
+    },
+    /// Parts of consecutive levels lie one after another, at least one a level.
+    #[error(
+        "its parts {first}..+{count} do not follow those of the level before, which end at {expected}"
+    )]
+    PartRange {
+        /// First part.
+        first: u32,
+        /// How many.
+        count: u32,
+        /// Where the first should be.
+        expected: u32,
+    },
+    /// Every part belongs to a level.
+    #[error("it belongs to no level")]
+    StrayPart,
+    /// Leaves can be drawn.
+    #[error("it is a leaf without a level")]
+    BareLeaf,
+    /// Objects in range.
+    #[error("object {object} is none of the source's")]
+    Object {
+        /// What the hlod names.
+        object: u32,
+    },
+    /// Source triangles add up.
+    #[error("it counts {said} source triangles, its parts {sum}")]
+    SourceTriangles {
+        /// The count.
+        said: u64,
+        /// The sum.
+        sum: u64,
+    },
+    /// Errors are distances.
+    #[error("its error {error} is no distance")]
+    Error {
+        /// The error.
+        error: f64,
+    },
+    /// Errors grow towards coarser levels and towards the root.
+    #[error("its error {error} is smaller than {finer} of what it stands for")]
+    NotMonotone {
+        /// The error.
+        error: f64,
+        /// The greater error of something finer.
+        finer: f64,
+    },
+    /// Blobs in range.
+    #[error("blob {blob} is not in the table")]
+    NoBlob {
+        /// What the part names.
+        blob: u32,
+    },
+    /// Placements in range.
+    #[error("transform {transform} is not in the table")]
+    NoTransform {
+        /// What the part names.
+        transform: u32,
+    },
+    /// Levels know their meshes.
+    #[error("it counts {said} triangles, its parts {found}")]
+    Triangles {
+        /// The level's count.
+        said: u32,
+        /// The sum over its parts' blobs.
+        found: u64,
+    },
+    /// Grid steps are powers of two.
+    #[error("its step {step} is no power of two")]
+    Step {
+        /// The step.
+        step: f64,
+    },
+    /// Meshes have triangles, and 16 bits reach every vertex.
+    #[error("{vertices} vertices and {triangles} triangles are no mesh of {bytes} bytes")]
+    MeshSize {
+        /// Vertices.
+        vertices: u32,
+        /// Triangles.
+        triangles: u32,
+        /// Bytes.
+        bytes: u64,
+    },
+    /// Vertices are plain or textured.
+    #[error("its vertex layout {layout} does not exist")]
+    Layout {
+        /// The layout.
+        layout: u32,
+    },
+    /// Every triangle of a blob has a class.
+    #[error("its classes count {sum} triangles instead of {triangles}")]
+    Classes {
+        /// Sum over the classes.
+        sum: u64,
+        /// Triangles of the blob.
+        triangles: u32,
+    },
+    /// The cutoff of a mask lies in textured vertices.
+    #[error("it has masked triangles without textured vertices")]
+    PlainMask,
+    /// Sides of textures are powers of two.
+    #[error("its side {side} is no power of two from 1 to {MAX_SIDE}")]
+    Side {
+        /// Pixels.
+        side: u32,
+    },
+    /// Ways to repeat a texture.
+    #[error("its wrap modes {wrap:#x} do not exist")]
+    Wrap {
+        /// The two modes.
+        wrap: u32,
+    },
+    /// A texture has all its mips.
+    #[error("it is {bytes} bytes long instead of {expected}")]
+    TextureSize {
+        /// Bytes.
+        bytes: u64,
+        /// What its side calls for.
+        expected: u64,
+    },
+    /// Measures are counts and lengths.
+    #[error("a measured quality is negative")]
+    Negative,
+    /// Blobs and textures lie one after the other, each at the next multiple of 64.
+    #[error("it starts at {offset} instead of {expected}")]
+    Offset {
+        /// Where it starts.
+        offset: u64,
+        /// Where it should.
+        expected: u64,
+    },
+}
+
+/// A broken rule and where.
+#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+#[error("{place}: {rule}")]
+pub struct Violation {
+    /// Where.
+    pub place: Place,
+    /// What.
+    pub rule: Rule,
+}
