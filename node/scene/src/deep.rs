@@ -77,8 +77,8 @@ pub enum DeepError {
     Blob(#[from] StoreError),
     /// A level strays farther than it says.
     #[error(
-        "{}: level {level} of hlod {hlod} says it is within {stored:e} of the original, but a sample \
-         is {found:e} away ({violations} of {levels} levels are wrong); bake the scene again",
+        "{}: level {level} of hlod {hlod} says it is within {stored:.6e} of the original, but a sample \
+         is {found:.6e} away ({violations} of {levels} levels are wrong); bake the scene again",
         path.display()
     )]
     Beyond {
