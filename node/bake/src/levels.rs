@@ -127,9 +127,11 @@ impl<'a> Chain<'a> {
         loop {
             let before = best.as_ref().unwrap_or(mesh);
             let Setting { depth, single_sided, .. } = self.setting;
+            let t=std::time::Instant::now();
             let welded = weld(before, Weld { epsilon: self.epsilon, depth, single_sided });
             let limit = edge.max(self.epsilon * ERROR_PER_EPSILON);
             let simplified = simplify(&welded, target, limit);
+            add(if estimate==0.0 {4} else {5},t,before.triangles.len());
             let held = welded.locked.iter().filter(|&&locked| locked).count();
             let coarse = welded.with_triangles(&simplified.triangles);
             if coarse.triangles.is_empty() {
@@ -155,16 +157,22 @@ impl<'a> Chain<'a> {
             slack: SLACK,
             budget: CUTS * (mesh.triangles.len() + self.base.triangles.len()),
         };
+        let t=std::time::Instant::now();
         let back = directed(mesh, &self.base_surface, &goal).upper;
+        add(0,t,mesh.triangles.len());
         let tolerable = VANISHED * back.max(estimate);
         for round in 0.. {
             let surface = Surface::new(mesh);
             let goal = Goal { enough: goal.enough.max(back), ..goal };
+            let t=std::time::Instant::now();
             let forth = directed(self.base, &surface, &goal).upper;
+            add(if round==0 {1} else {2},t,self.base.triangles.len());
             if forth <= tolerable || round == RESTORE_ROUNDS {
                 return back.max(forth);
             }
+            let t=std::time::Instant::now();
             let far = beyond(self.base, &surface, tolerable);
+            add(3,t,self.base.triangles.len());
             restore(mesh, self.base, far, tolerable);
         }
         unreachable!("the loop ends by its rounds")
@@ -307,3 +315,11 @@ mod tests {
         }
     }
 }
+
+pub(crate) static C: [std::sync::atomic::AtomicU64; 30] = [const { std::sync::atomic::AtomicU64::new(0) }; 30];
+fn add(i: usize, t: std::time::Instant, n: usize) {
+    C[3*i].fetch_add(t.elapsed().as_nanos() as u64, std::sync::atomic::Ordering::Relaxed);
+    C[3*i+1].fetch_add(n as u64, std::sync::atomic::Ordering::Relaxed);
+    C[3*i+2].fetch_add(1, std::sync::atomic::Ordering::Relaxed);
+}
+pub(crate) fn dump() { for i in 0..6 { let g=|k:usize| C[3*i+k].load(std::sync::atomic::Ordering::Relaxed) as f64; eprintln!("{i}: {:.2} s, {} calls, {:.2}M tris, {:.0} ns/tri", g(0)/1e9, g(2), g(1)/1e6, g(0)/g(1)); } }

@@ -1,6 +1,7 @@
 //! The baked scene at run time, without a GPU: what is near, what may be hidden, what to draw.
 
 pub mod backend;
+pub mod deep;
 pub mod draw_list;
 #[cfg(test)]
 mod fixture;

@@ -171,7 +171,7 @@ fn check_box(store: &Store, id: HlodId, hlod: &Hlod) -> Result<u64, VerifyError>
 }
 
 /// Mesh-space position of a vertex.
-fn position(blob: &Blob, vertex: &Vertex) -> [f64; 3] {
+pub(crate) fn position(blob: &Blob, vertex: &Vertex) -> [f64; 3] {
     let grid = vertex.grid();
     std::array::from_fn(|k| blob.origin[k] + f64::from(grid[k]) * blob.step)
 }

@@ -31,8 +31,8 @@ impl Triangle {
         let products @ [bb, bc, cc] = [ab.length_squared(), ab.dot(ac), ac.length_squared()];
         let area = ab.cross(ac).length_squared();
         let longest = bb.max(cc).max(bb - 2.0 * bc + cc);
-        let flat = area > NEEDLE * longest * longest;
-        Self { a, ab, ac, products, area: if flat { area } else { 0.0 } }
+        let wide = area > NEEDLE * longest * longest;
+        Self { a, ab, ac, products, area: if wide { area } else { 0.0 } }
     }
 
     /// Squared distance from `p` (Ericson 2005, section 5.1.5; two products a point, the others are
