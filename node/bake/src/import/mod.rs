@@ -8,8 +8,16 @@ mod emit;
 mod error;
 mod format;
 mod gltf;
+mod obj;
 mod picture;
+mod place;
+mod ply;
+mod polygon;
+mod stl;
 mod store;
+#[cfg(test)]
+mod testing;
+mod text;
 mod uri;
 
 use std::path::Path;
@@ -35,7 +43,7 @@ impl Default for ImportLimits {
 
 /// Reads the scene file at `path`, and the files it refers to, into `sink`.
 ///
-/// Textures come first, then meshes in the file's order; at most one batch of meshes is in memory.
+/// Meshes come in the file's order; at most one batch of them is in memory.
 /// External files are read from the scene's own folder only. The result does not depend on how many
 /// threads there are.
 ///
@@ -53,6 +61,9 @@ pub fn import(
     let out = Emitter::new(path, *limits, sink);
     match format {
         Format::Gltf => gltf::import(path, out),
+        Format::Obj => obj::import(path, out),
+        Format::Ply => ply::import(path, out),
+        Format::Stl => stl::import(path, out),
     }
 }
 
