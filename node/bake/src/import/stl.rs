@@ -223,7 +223,7 @@ impl Vertices for Soup<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::import::testing::{check, collect};
+    use crate::import::testing::{TEXTURE_SIDE, check, collect};
     use crate::source::{Source, Surface};
     use proptest::prelude::*;
 
@@ -325,7 +325,7 @@ mod tests {
                 bytes[place] = value;
             }
             if let Ok(source) = parse(&bytes) {
-                check(&source)?;
+                check(&source, TEXTURE_SIDE)?;
             }
         }
     }

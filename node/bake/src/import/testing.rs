@@ -24,8 +24,8 @@ pub(super) fn collect(
     Ok(whole)
 }
 
-/// What every import promises, whatever the file was.
-pub(super) fn check(source: &Source) -> Result<(), TestCaseError> {
+/// What every import promises, whatever the file was; `largest` is the limit of textures.
+pub(super) fn check(source: &Source, largest: u32) -> Result<(), TestCaseError> {
     for mesh in &source.meshes {
         let vertices = mesh.positions.len();
         prop_assert!(mesh.normals.len() == vertices && mesh.colors.len() == vertices);
@@ -59,7 +59,7 @@ pub(super) fn check(source: &Source) -> Result<(), TestCaseError> {
         prop_assert!(surface.texture.is_none_or(|t| (t as usize) < source.textures.len()));
     }
     for texture in &source.textures {
-        prop_assert!(texture.side.is_power_of_two() && texture.side <= TEXTURE_SIDE);
+        prop_assert!(texture.side.is_power_of_two() && texture.side <= largest);
         prop_assert_eq!(texture.rgba.len(), 4 * texture.side as usize * texture.side as usize);
     }
     prop_assert!(source.objects.iter().all(|object| object.mesh < source.meshes.len()));

@@ -3,8 +3,9 @@
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{BufRead, BufReader};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
+use super::map::Map;
 use crate::import::builder::Paint;
 use crate::import::emit::Emitter;
 use crate::import::error::ImportError;
@@ -54,14 +55,8 @@ struct Definition {
     map: Option<Map>,
 }
 
-/// A picture of the diffuse colour.
-#[derive(Clone, Debug, Default, PartialEq)]
-struct Map {
-    /// As the file spells it.
-    file: String,
-    scale: Option<[f64; 2]>,
-    offset: [f64; 2],
-    clamps: bool,
+impl Definition {
+    const EMPTY: Self = Self { diffuse: None, dissolve: 1.0, map: None };
 }
 
 /// A picture in use.
@@ -213,7 +208,7 @@ impl<'a> Library<'a> {
 
     /// The file of a name in the scene or a library. Modellers write paths of their own machine, and
     /// put the file beside the scene.
-    fn locate(&self, at: &str, name: &str) -> Result<std::path::PathBuf, ImportError> {
+    fn locate(&self, at: &str, name: &str) -> Result<PathBuf, ImportError> {
         let folder = Folder { file: self.scene };
         let name = name.replace('\\', "/");
         folder.named(at, &name).or_else(|error| match name.rsplit_once('/') {
@@ -275,9 +270,9 @@ impl<'a> Library<'a> {
             let wrong = || broken(at, format!("\"{}\" is not understood", excerpt(line)));
             let rest = String::from_utf8_lossy(line[word.len()..].trim_ascii());
             if word == b"newmtl" {
-                let empty = Definition { diffuse: None, dissolve: 1.0, map: None };
-                present =
-                    Some(self.definitions.entry(rest.into_owned()).insert_entry(empty).into_mut());
+                let entry = self.definitions.entry(rest.into_owned()).or_insert(Definition::EMPTY);
+                *entry = Definition::EMPTY;
+                present = Some(entry);
                 continue;
             }
             let Some(material) = present.as_deref_mut() else { continue };
@@ -307,70 +302,5 @@ impl<'a> Library<'a> {
             self.notes.push(format!("{masks} transparency pictures (map_d) ignored"));
         }
         Ok(())
-    }
-}
-
-impl Map {
-    /// Options, each with its arguments, then the name of a file, which may hold blanks.
-    fn of(line: &str) -> Option<Self> {
-        let mut map = Self::default();
-        let mut rest = line.trim();
-        let next = |rest: &mut &str| -> Option<String> {
-            let (word, after) = rest.split_once(char::is_whitespace)?;
-            *rest = after.trim_start();
-            Some(word.to_owned())
-        };
-        while rest.starts_with('-') {
-            let option = next(&mut rest)?;
-            match option.as_str() {
-                "-o" | "-s" | "-t" => {
-                    let mut lanes = Vec::new();
-                    while lanes.len() < 3
-                        && let Some(value) = first_number(rest)
-                    {
-                        next(&mut rest)?;
-                        lanes.push(value);
-                    }
-                    // The second lane keeps its default where it is left out.
-                    let pair = |default: f64| {
-                        [0, 1].map(|lane| lanes.get(lane).copied().unwrap_or(default))
-                    };
-                    match option.as_str() {
-                        "-o" => map.offset = pair(0.0),
-                        "-s" => map.scale = Some(pair(1.0)),
-                        _ => {}
-                    }
-                }
-                "-clamp" => map.clamps = next(&mut rest)? == "on",
-                "-mm" => {
-                    next(&mut rest)?;
-                    next(&mut rest)?;
-                }
-                _ => drop(next(&mut rest)?),
-            }
-        }
-        map.file = rest.to_owned();
-        (!rest.is_empty()).then_some(map)
-    }
-}
-
-/// The first word, where it is a number and not the last word.
-fn first_number(text: &str) -> Option<f64> {
-    number(text.split_once(char::is_whitespace)?.0.as_bytes())
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn options_of_pictures_are_told_from_their_names() {
-        assert_eq!(Map::of(""), None);
-        assert_eq!(Map::of("-clamp on"), None);
-        let plain = Map::of("my wall.png").unwrap();
-        assert_eq!((plain.file.as_str(), plain.clamps), ("my wall.png", false));
-        let map = Map::of("-blendu off -s 2 3 1 -o 0.5 -clamp on -mm 0 1 7.png").unwrap();
-        assert_eq!((map.file.as_str(), map.clamps), ("7.png", true));
-        assert_eq!((map.scale, map.offset), (Some([2.0, 3.0]), [0.5, 0.0]));
     }
 }

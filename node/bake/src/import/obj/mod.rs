@@ -5,6 +5,7 @@
 //! are in memory; faces are so only until their object ends. Colours are taken as sRGB-encoded.
 
 mod library;
+mod map;
 mod mesh;
 
 use std::fs::File;

@@ -1,6 +1,6 @@
 use super::*;
 use crate::import::import_all;
-use crate::import::testing::{check, collect};
+use crate::import::testing::{TEXTURE_SIDE, check, collect};
 use crate::source::{Alpha, Source, Surface, Wrap};
 use proptest::prelude::*;
 
@@ -150,7 +150,7 @@ fn a_hundred_thousand_copies_of_one_point() {
 fn no_truncation_panics() {
     for end in 0..SCENE.len() {
         if let Ok(source) = parse(&SCENE.as_bytes()[..end]) {
-            check(&source).unwrap();
+            check(&source, TEXTURE_SIDE).unwrap();
         }
     }
     let folder = tempfile::tempdir().unwrap();
@@ -175,7 +175,7 @@ proptest! {
             bytes[place] = value;
         }
         if let Ok(source) = parse(&bytes) {
-            check(&source)?;
+            check(&source, TEXTURE_SIDE)?;
         }
     }
 }

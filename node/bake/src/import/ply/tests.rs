@@ -1,5 +1,5 @@
 use super::*;
-use crate::import::testing::{check, collect};
+use crate::import::testing::{TEXTURE_SIDE, check, collect};
 use crate::source::Source;
 use proptest::prelude::*;
 
@@ -93,7 +93,7 @@ fn faults_name_the_element() {
         ("1 1 0 9", "1 1e999 0 9", "vertex 2: \"1e999\""),
         ("3 4 0 1 2 3", "3 4 0 1 2 4", "face 0: it refers to vertex 4 of the 4"),
         ("3 4 0 1 2 3", "3 4 0 1 2 -1", "face 0: it refers to vertex -1"),
-        ("3 4 0 1 2 3", "3 255 0 1 2 3", "face 0: the file ends"),
+        ("3 4 0 1 2 3", "3 255 0 1 2 3", "face 0: it refers to vertex 5 of the 4"),
         ("end_header", "end_heade", "not understood"),
     ] {
         let message = error(TEXT.replacen(from, to, 1).as_bytes());
@@ -146,7 +146,7 @@ proptest! {
             bytes[place] = value;
         }
         if let Ok(source) = parse(&bytes) {
-            check(&source)?;
+            check(&source, TEXTURE_SIDE)?;
         }
     }
 }
