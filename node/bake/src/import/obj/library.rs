@@ -232,6 +232,8 @@ impl<'a> Library<'a> {
                     let unreadable = |source| ImportError::Read { file: path.clone(), source };
                     let file = File::open(&path).map_err(unreadable)?;
                     self.parse(&path, BufReader::new(file))?;
+                    // What was asked for too early may be defined by now.
+                    self.numbers.retain(|_, number| *number != 0);
                 }
                 Err(ImportError::MissingResource { .. } | ImportError::OutsideFolder { .. }) => {
                     self.notes.push(format!(
