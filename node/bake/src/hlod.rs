@@ -403,7 +403,7 @@ impl Builder<'_> {
     /// Makes the levels of an inner hlod from its children's forms.
     fn stand_in(&self, top: &mut Top, children: &mut [Top]) -> Result<(), WorkError> {
         let total: usize = children.iter().map(|child| child.forms[0].triangles).sum();
-        let target = self.options.hlod_triangles.min(total / 2);
+        let target = self.options.hlod_triangles.min(total / children.len());
         let mut merged = Mesh::default();
         let mut error = 0.0f64;
         let mut step = f64::INFINITY;

@@ -3,7 +3,7 @@
 
 use crate::options::{MAX_MESH_TRIANGLES, Options};
 use geometry::hash::FastHash;
-use geometry::hausdorff::{Goal, Surface, beyond, directed};
+use geometry::hausdorff::{Goal, Surface, directed, directed_but};
 use geometry::mesh::Mesh;
 use geometry::simplify::simplify;
 use geometry::weld::{Weld, weld};
@@ -23,15 +23,13 @@ const NEAR_TARGET: f64 = 1.25;
 const MOST_ERROR: f64 = 0.25;
 /// The error need not be known any better than to this share of what the simplifier thinks it is, or
 /// of the error that it is added to.
-const ENOUGH: f64 = 0.25;
+const ENOUGH: f64 = 0.5;
 /// Nor any tighter than to this share above what it is at least.
-const SLACK: f64 = 0.2;
+const SLACK: f64 = 0.35;
 /// Cuts that a proof may take, by triangle of both meshes.
 const CUTS: usize = 8;
 /// A part that vanished is put back where the error would be so many times what it is elsewhere.
 const VANISHED: f64 = 2.0;
-/// Rounds of putting back what vanished.
-const RESTORE_ROUNDS: usize = 3;
 /// Least growth of an error from one level to the next, so that the order is strict.
 pub(crate) const ERROR_GROWTH: f64 = 1.0 + 1.0 / (1 << 20) as f64;
 
@@ -127,11 +125,9 @@ impl<'a> Chain<'a> {
         loop {
             let before = best.as_ref().unwrap_or(mesh);
             let Setting { depth, single_sided, .. } = self.setting;
-            let t=std::time::Instant::now();
             let welded = weld(before, Weld { epsilon: self.epsilon, depth, single_sided });
             let limit = edge.max(self.epsilon * ERROR_PER_EPSILON);
             let simplified = simplify(&welded, target, limit);
-            add(if estimate==0.0 {4} else {5},t,before.triangles.len());
             let held = welded.locked.iter().filter(|&&locked| locked).count();
             let coarse = welded.with_triangles(&simplified.triangles);
             if coarse.triangles.is_empty() {
@@ -157,44 +153,47 @@ impl<'a> Chain<'a> {
             slack: SLACK,
             budget: CUTS * (mesh.triangles.len() + self.base.triangles.len()),
         };
-        let t=std::time::Instant::now();
         let back = directed(mesh, &self.base_surface, &goal).upper;
-        add(0,t,mesh.triangles.len());
         let tolerable = VANISHED * back.max(estimate);
-        for round in 0.. {
-            let surface = Surface::new(mesh);
-            let goal = Goal { enough: goal.enough.max(back), ..goal };
-            let t=std::time::Instant::now();
-            let forth = directed(self.base, &surface, &goal).upper;
-            add(if round==0 {1} else {2},t,self.base.triangles.len());
-            if forth <= tolerable || round == RESTORE_ROUNDS {
-                return back.max(forth);
-            }
-            let t=std::time::Instant::now();
-            let far = beyond(self.base, &surface, tolerable);
-            add(3,t,self.base.triangles.len());
-            restore(mesh, self.base, far, tolerable);
+        let goal = Goal { enough: goal.enough.max(back), ..goal };
+        let (near, far) = directed_but(self.base, &Surface::new(mesh), &goal, tolerable);
+        if far.is_empty() {
+            return back.max(near.upper);
         }
-        unreachable!("the loop ends by its rounds")
+        // Only what was far can have come nearer.
+        let far = part(self.base, &far);
+        restore(mesh, &far, tolerable);
+        let rest = directed(&far, &Surface::new(mesh), &goal).upper;
+        back.max(near.upper).max(rest)
     }
 }
 
-/// Puts the largest of the triangles `far` of `base` back into `mesh`, at most one a cell as wide as
-/// `reach`: what vanished is then no farther away than that.
-fn restore(mesh: &mut Mesh, base: &Mesh, mut far: Vec<u32>, reach: f64) {
-    let area = |triangle: u32| {
-        let [a, b, c] = base.corners(base.triangles[triangle as usize]);
-        (b - a).cross(c - a).length_squared()
+/// Some triangles of a mesh, with vertices of their own.
+fn part(mesh: &Mesh, triangles: &[u32]) -> Mesh {
+    let corners = triangles.iter().flat_map(|&t| mesh.triangles[t as usize]);
+    Mesh {
+        vertices: corners.map(|index| mesh.vertices[index as usize]).collect(),
+        triangles: (0..triangles.len() as u32).map(|t| [3 * t, 3 * t + 1, 3 * t + 2]).collect(),
+    }
+}
+
+/// Puts triangles of `far` into `mesh` so that hardly anything of it is farther away than `reach`:
+/// all that are large, and of the small ones the largest of each cell half as wide as that.
+fn restore(mesh: &mut Mesh, far: &Mesh, reach: f64) {
+    let longest2 = |t: &[u32; 3]| {
+        let [a, b, c] = far.corners(*t);
+        a.distance_squared(b).max(b.distance_squared(c)).max(c.distance_squared(a))
     };
-    far.sort_by(|&a, &b| area(b).total_cmp(&area(a)).then(a.cmp(&b)));
+    let cell = reach * 0.5;
+    let mut order: Vec<(f64, [u32; 3])> = far.triangles.iter().map(|t| (longest2(t), *t)).collect();
+    order.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
     let mut taken: HashSet<[i64; 3], FastHash> = HashSet::default();
-    for triangle in far {
-        let corners = base.triangles[triangle as usize];
-        let [a, b, c] = base.corners(corners);
-        let cell = ((a + b + c) / (3.0 * reach)).floor().to_array().map(|c| c as i64);
-        if taken.insert(cell) {
+    for (longest2, corners) in order {
+        let [a, b, c] = far.corners(corners);
+        let place = ((a + b + c) / (3.0 * cell)).floor().to_array().map(|c| c as i64);
+        if longest2 > cell * cell || taken.insert(place) {
             let first = mesh.vertices.len() as u32;
-            mesh.vertices.extend(corners.map(|index| base.vertices[index as usize]));
+            mesh.vertices.extend(corners.map(|index| far.vertices[index as usize]));
             mesh.triangles.push([first, first + 1, first + 2]);
         }
     }
@@ -315,11 +314,3 @@ mod tests {
         }
     }
 }
-
-pub(crate) static C: [std::sync::atomic::AtomicU64; 30] = [const { std::sync::atomic::AtomicU64::new(0) }; 30];
-fn add(i: usize, t: std::time::Instant, n: usize) {
-    C[3*i].fetch_add(t.elapsed().as_nanos() as u64, std::sync::atomic::Ordering::Relaxed);
-    C[3*i+1].fetch_add(n as u64, std::sync::atomic::Ordering::Relaxed);
-    C[3*i+2].fetch_add(1, std::sync::atomic::Ordering::Relaxed);
-}
-pub(crate) fn dump() { for i in 0..6 { let g=|k:usize| C[3*i+k].load(std::sync::atomic::Ordering::Relaxed) as f64; eprintln!("{i}: {:.2} s, {} calls, {:.2}M tris, {:.0} ns/tri", g(0)/1e9, g(2), g(1)/1e6, g(0)/g(1)); } }

@@ -266,7 +266,7 @@ impl Job<'_> {
         let info = self.info(&scene, &pieces, &plan);
         let (seconds, written_triangles) = (output.seconds, output.written_triangles);
         let written = output.finish(info, &plan)?;
-        work.remove()?;crate::levels::dump();
+        work.remove()?;
         self.progress.finish();
         clock.seconds.write = seconds + clock.lap();
         let made = summary::Made { scene: &scene, pieces: &pieces, plan: &plan, tally: &tally };

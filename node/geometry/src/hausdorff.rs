@@ -32,8 +32,6 @@ const MARGIN: f64 = 512.0 * f64::EPSILON;
 const DEEPEST: u8 = 60;
 /// Cuts of one triangle before others have their turn.
 const CUTS_AT_ONCE: usize = 24;
-/// Cuts [`beyond`] spends on a triangle.
-const CUTS_BEYOND: usize = 48;
 /// Triangles looked at first, to learn about how great the distance is.
 const FIRST_LOOKS: usize = 32;
 /// A triangle this share of the wanted distance away is as good as the nearest.
@@ -64,13 +62,25 @@ pub struct Goal {
 /// Bounds the greatest distance from a point of `from` to `to`, both ends finite; 0 if `from` has no
 /// triangle, infinite if only `to` has none.
 pub fn directed(from: &Mesh, to: &Surface, goal: &Goal) -> Bound {
+    directed_but(from, to, goal, f64::INFINITY).0
+}
+
+/// The same for those triangles of `from` of which nothing was seen farther away than `limit`; the
+/// others are returned, ascending.
+pub fn directed_but(from: &Mesh, to: &Surface, goal: &Goal, limit: f64) -> (Bound, Vec<u32>) {
     if from.triangles.is_empty() {
-        return Bound { upper: 0.0, lower: 0.0 };
+        return (Bound { upper: 0.0, lower: 0.0 }, Vec::new());
     }
     if to.triangles.is_empty() {
-        return Bound { upper: f64::INFINITY, lower: f64::INFINITY };
+        if limit < f64::INFINITY {
+            let all = (0..from.triangles.len() as u32).collect();
+            return (Bound { upper: 0.0, lower: 0.0 }, all);
+        }
+        return (Bound { upper: f64::INFINITY, lower: f64::INFINITY }, Vec::new());
     }
     let mut prover = Prover::new(from, to, goal.enough, 1.0 + goal.slack);
+    prover.limit = limit;
+    let mut far = Vec::new();
     let stride = from.triangles.len().div_ceil(FIRST_LOOKS);
     for triangle in from.triangles.iter().step_by(stride) {
         let piece = prover.piece(*triangle);
@@ -78,8 +88,13 @@ pub fn directed(from: &Mesh, to: &Surface, goal: &Goal) -> Bound {
     }
     let mut left = goal.budget;
     let mut unsettled = BinaryHeap::new();
-    for triangle in &from.triangles {
+    for (triangle, id) in from.triangles.iter().zip(0..) {
+        prover.strayed = false;
         left -= prover.settle(*triangle, left.min(CUTS_AT_ONCE));
+        if prover.strayed {
+            far.push(id);
+            prover.open.clear();
+        }
         unsettled.extend(prover.open.drain(..));
     }
     // Worst first: none that ends below the bound is ever cut.
@@ -97,30 +112,7 @@ pub fn directed(from: &Mesh, to: &Surface, goal: &Goal) -> Bound {
             }
         }
     }
-    prover.bound()
-}
-
-/// The triangles of `from` that are not proven to lie within `limit` of `to`, ascending.
-pub fn beyond(from: &Mesh, to: &Surface, limit: f64) -> Vec<u32> {
-    if to.triangles.is_empty() {
-        return (0..from.triangles.len() as u32).collect();
-    }
-    // Slack is no use here: nothing above the limit will do.
-    let mut prover = Prover::new(from, to, 0.0, 0.0);
-    prover.wanted = limit - prover.margin;
-    if prover.wanted < 0.0 {
-        return (0..from.triangles.len() as u32).collect();
-    }
-    let mut found = Vec::new();
-    for (triangle, id) in from.triangles.iter().zip(0..) {
-        prover.seen = 0.0;
-        prover.settle(*triangle, CUTS_BEYOND);
-        if !prover.open.is_empty() {
-            found.push(id);
-            prover.open.clear();
-        }
-    }
-    found
+    (prover.bound(), far)
 }
 
 /// The greatest distance to `to` from a sample of `from`: corners, and `per_edge - 1` more along
@@ -229,8 +221,11 @@ struct Prover<'a> {
     factor: f64,
     /// A piece within this is settled.
     wanted: f64,
-    /// Greatest distance seen.
+    /// Greatest distance seen, up to the limit.
     seen: f64,
+    limit: f64,
+    /// Something farther away than the limit was seen.
+    strayed: bool,
     /// Square of the greatest bound of a settled piece.
     proven: f64,
     /// The triangle that settled the last piece.
@@ -253,6 +248,8 @@ impl<'a> Prover<'a> {
             // Less than rounding cannot be told from nothing.
             wanted: enough.max(margin),
             seen: 0.0,
+            limit: f64::INFINITY,
+            strayed: false,
             proven: 0.0,
             hint: 0,
             waiting: Vec::new(),
@@ -276,7 +273,9 @@ impl<'a> Prover<'a> {
     fn look(&mut self, p: DVec3, enough: f64) -> (f64, u32) {
         let mut near = self.hint;
         let distance = self.to.nearest2(p, enough * enough, &mut near).sqrt();
-        if distance > self.seen && distance > enough {
+        if distance > self.limit {
+            self.strayed = true;
+        } else if distance > self.seen && distance > enough {
             self.seen = distance;
             self.wanted = self.wanted.max(distance * self.factor);
         }
@@ -306,12 +305,20 @@ impl<'a> Prover<'a> {
         for v in triangle {
             if self.near[v as usize] == u32::MAX {
                 let enough = self.wanted * NEAR_SHARE;
-                self.near[v as usize] = self.look(self.points[v as usize], enough).1;
+                let near = self.look(self.points[v as usize], enough).1;
+                if self.strayed {
+                    return 0;
+                }
+                self.near[v as usize] = near;
             }
         }
         self.waiting.push(self.piece(triangle));
         let mut cuts = 0;
         while let Some(piece) = self.waiting.pop() {
+            if self.strayed {
+                self.waiting.clear();
+                return cuts;
+            }
             if self.near_a_corner(&piece) {
                 continue;
             }

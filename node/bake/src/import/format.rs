@@ -5,12 +5,19 @@ use std::io::Read;
 use std::path::Path;
 
 use super::error::ImportError;
+use super::text::words;
 
 /// A format this program reads.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Format {
     /// glTF 2.0, as JSON or as a GLB container.
     Gltf,
+    /// Wavefront OBJ.
+    Obj,
+    /// PLY.
+    Ply,
+    /// STL.
+    Stl,
 }
 
 /// Bytes at the start of a file that are looked at.
@@ -34,23 +41,82 @@ impl Format {
     fn by_name(path: &Path) -> Option<Self> {
         match path.extension()?.to_str()?.to_ascii_lowercase().as_str() {
             "glb" | "gltf" => Some(Self::Gltf),
+            "obj" => Some(Self::Obj),
+            "ply" => Some(Self::Ply),
+            "stl" => Some(Self::Stl),
             _ => None,
         }
     }
 
-    fn by_content(head: &[u8], _length: u64) -> Option<Self> {
+    fn by_content(head: &[u8], length: u64) -> Option<Self> {
         let text = head.strip_prefix(b"\xEF\xBB\xBF").unwrap_or(head).trim_ascii_start();
-        if head.starts_with(b"glTF") || text.starts_with(b"{") { Some(Self::Gltf) } else { None }
+        let triangles = head.get(80..84).and_then(|count| count.first_chunk::<4>());
+        let binary_stl = triangles
+            .is_some_and(|count| 84 + 50 * u64::from(u32::from_le_bytes(*count)) == length);
+        let first = |words: &[&[u8]]| Self::first_words(text).any(|word| words.contains(&word));
+        if head.starts_with(b"glTF") || text.starts_with(b"{") {
+            Some(Self::Gltf)
+        } else if head.starts_with(b"ply\n") || head.starts_with(b"ply\r") {
+            Some(Self::Ply)
+        } else if binary_stl || text.get(..6).is_some_and(|w| w.eq_ignore_ascii_case(b"solid ")) {
+            Some(Self::Stl)
+        } else if first(&[b"v", b"mtllib", b"o", b"g", b"usemtl"]) {
+            Some(Self::Obj)
+        } else {
+            None
+        }
+    }
+
+    /// The first word of the first line that is no comment.
+    fn first_words(text: &[u8]) -> impl Iterator<Item = &[u8]> {
+        let lines = text.split(|&byte| byte == b'\n');
+        lines.filter_map(|line| words(line).next()).filter(|word| !word.starts_with(b"#")).take(1)
     }
 }
 
 /// What stands at the start of a file in no known format.
-pub(super) fn describe(head: &[u8]) -> String {
+fn describe(head: &[u8]) -> String {
     match head.len() {
         0 => "the file is empty".to_owned(),
         _ => format!(
             "its format is unknown (it starts with {:?})",
             head[..head.len().min(8)].escape_ascii().to_string()
         ),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_decide_and_content_where_they_do_not() {
+        let folder = tempfile::tempdir().unwrap();
+        let of = |name: &str, bytes: &[u8]| {
+            let path = folder.path().join(name);
+            std::fs::write(&path, bytes).unwrap();
+            Format::of(&path)
+        };
+        assert_eq!(of("a.OBJ", b"").unwrap(), Format::Obj);
+        assert_eq!(of("a.ply", b"glTF").unwrap(), Format::Ply);
+        let mut stl = vec![b'x'; 84 + 50];
+        stl[80..84].copy_from_slice(&1u32.to_le_bytes());
+        for (bytes, format) in [
+            (&b"glTF\x02\0\0\0"[..], Format::Gltf),
+            (b"\xEF\xBB\xBF {}", Format::Gltf),
+            (b"ply\r\nformat", Format::Ply),
+            (b"solid part\n", Format::Stl),
+            (&stl, Format::Stl),
+            (b"# by hand\n\nv 0 0 0\n", Format::Obj),
+        ] {
+            assert_eq!(of("a.dat", bytes).unwrap(), format);
+        }
+        for bytes in [&b""[..], b"# v 1\nhello v\n", b"PK\x03\x04"] {
+            let message = of("a", bytes).unwrap_err().to_string();
+            for word in ["glTF", "OBJ", "PLY", "STL"] {
+                assert!(message.contains(word), "{message}");
+            }
+        }
+        assert!(Format::of(&folder.path().join("none.obj")).unwrap_err().is_missing_input());
     }
 }

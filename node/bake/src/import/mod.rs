@@ -8,9 +8,17 @@ mod emit;
 mod error;
 mod format;
 mod gltf;
+mod obj;
 mod picture;
+mod place;
+mod ply;
+mod polygon;
 mod references;
+mod stl;
 mod store;
+#[cfg(test)]
+mod testing;
+mod text;
 mod uri;
 
 use std::path::Path;
@@ -37,7 +45,7 @@ impl Default for ImportLimits {
 
 /// Reads the scene file at `path`, and the files it refers to, into `sink`.
 ///
-/// Textures come first, then meshes in the file's order; at most one batch of meshes is in memory.
+/// Meshes come in the file's order; at most one batch of them is in memory.
 /// External files are read from the scene's own folder only. The result does not depend on how many
 /// threads there are.
 ///
@@ -55,6 +63,9 @@ pub fn import(
     let out = Emitter::new(path, *limits, sink);
     match format {
         Format::Gltf => gltf::import(path, out),
+        Format::Obj => obj::import(path, out),
+        Format::Ply => ply::import(path, out),
+        Format::Stl => stl::import(path, out),
     }
 }
 

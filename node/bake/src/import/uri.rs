@@ -1,5 +1,6 @@
 //! What a URI in a scene file refers to: bytes in the URI itself, or a file in the scene's folder.
 
+use std::io::ErrorKind;
 use std::path::{Component, Path, PathBuf};
 
 use super::error::ImportError;
@@ -43,7 +44,28 @@ impl Folder<'_> {
         self.locate("", uri).ok()
     }
 
+    /// The file of a name that is no URI, but stands in the scene as it is.
+    pub(super) fn named(&self, at: &str, name: &str) -> Result<PathBuf, ImportError> {
+        self.inside(at, name, name)
+    }
+
     fn locate(&self, at: &str, uri: &str) -> Result<PathBuf, ImportError> {
+        let refused = |why| ImportError::OutsideFolder {
+            file: self.file.into(),
+            at: at.into(),
+            uri: shorten(uri),
+            why,
+        };
+        if uri.split_once(':').is_some_and(|(before, _)| !before.contains(['/', '\\'])) {
+            return Err(refused("names a scheme or a drive"));
+        }
+        let name = String::from_utf8(percent_decode(uri))
+            .map_err(|_| refused("is not UTF-8 once decoded"))?;
+        self.inside(at, uri, &name)
+    }
+
+    /// The file of this name; `uri` is how the scene spells it.
+    fn inside(&self, at: &str, uri: &str, name: &str) -> Result<PathBuf, ImportError> {
         let outside = |why| ImportError::OutsideFolder {
             file: self.file.into(),
             at: at.into(),
@@ -55,12 +77,6 @@ impl Folder<'_> {
             at: at.into(),
             uri: shorten(uri),
         };
-        let scheme = uri.split_once(':').is_some_and(|(before, _)| !before.contains(['/', '\\']));
-        if scheme {
-            return Err(outside("names a scheme or a drive"));
-        }
-        let name = String::from_utf8(percent_decode(uri))
-            .map_err(|_| outside("is not UTF-8 once decoded"))?;
         // Both separators count on every system, so that a file means the same everywhere.
         if name.starts_with(['/', '\\']) {
             return Err(outside("is an absolute path"));
@@ -68,7 +84,7 @@ impl Folder<'_> {
         if name.split(['/', '\\']).any(|part| part == "..") {
             return Err(outside("climbs out by \"..\""));
         }
-        if !Path::new(&name)
+        if !Path::new(name)
             .components()
             .all(|part| matches!(part, Component::Normal(_) | Component::CurDir))
             || name.contains('\0')
@@ -79,9 +95,11 @@ impl Folder<'_> {
             Some(parent) if !parent.as_os_str().is_empty() => parent,
             _ => Path::new("."),
         };
-        let target = folder.join(&name).canonicalize().map_err(|source| match source.kind() {
-            std::io::ErrorKind::NotFound => missing(),
-            _ => ImportError::Read { file: folder.join(&name), source },
+        let target = folder.join(name).canonicalize().map_err(|source| match source.kind() {
+            ErrorKind::NotFound | ErrorKind::NotADirectory | ErrorKind::InvalidFilename => {
+                missing()
+            }
+            _ => ImportError::Read { file: folder.join(name), source },
         })?;
         let folder = folder
             .canonicalize()

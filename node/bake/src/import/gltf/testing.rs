@@ -6,23 +6,15 @@ use std::path::Path;
 use serde_json::{Value, json};
 
 use super::import_store;
-use crate::import::emit::Emitter;
+use crate::import::ImportError;
 use crate::import::store::Store;
-use crate::import::{Collect, ImportError, ImportLimits};
+use crate::import::testing::collect;
 use crate::source::Source;
-
-/// The side of the largest texture in tests.
-pub(super) const TEXTURE_SIDE: u32 = 8;
 
 /// What a file of these bytes holds, for tests that need no file.
 pub(super) fn import_bytes(file: &Path, bytes: &[u8]) -> Result<Source, ImportError> {
-    let mut whole = Source::default();
-    let limits = ImportLimits { texture_side: TEXTURE_SIDE };
-    let mut sink = Collect(&mut whole);
-    let out = Emitter::new(file, limits, &mut sink);
-    let imported = import_store(file, Store::memory(bytes.to_vec()), out)?;
-    whole.complete(imported);
-    Ok(whole)
+    let store = Store::memory(bytes.to_vec());
+    collect(&file.to_string_lossy(), |out| import_store(file, store, out))
 }
 
 /// Component types as files spell them.

@@ -5,8 +5,10 @@ use std::path::Path;
 use proptest::prelude::*;
 use serde_json::{Value, json};
 
+use super::extensions::square;
 use crate::import::gltf::testing::import_bytes;
 use crate::import::gltf::testing::{Scene, U8, png};
+use crate::import::testing::TEXTURE_SIDE;
 use crate::import::{ImportError, ImportErrorKind, import_all as import};
 
 /// The error of the triangle scene after one edit of its JSON.
@@ -206,41 +208,34 @@ fn rich() -> Scene {
     let (places, values) = (scene.view(&[1]), scene.view(&[0, 0, 0, 64, 0, 0, 0, 0, 0, 0, 0, 0]));
     scene.json["accessors"][0]["sparse"] = json!({"count": 1, "indices": {"bufferView": places, "componentType": U8}, "values": {"bufferView": values}});
     scene.add("images", json!({"bufferView": picture}));
-    scene.add("textures", json!({"source": 0}));
+    scene.json["samplers"] = json!([{"wrapS": 33071}]);
+    scene.add("textures", json!({"source": 0, "sampler": 0}));
+    let transform = json!({"offset": [1, 2], "rotation": 3, "scale": [4, 5], "texCoord": 1});
+    let texture = json!({"index": 0, "extensions": {"KHR_texture_transform": transform}});
     scene.add(
         "materials",
-        json!({"alphaMode": "MASK", "pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}),
+        json!({"alphaMode": "MASK", "pbrMetallicRoughness": {"baseColorTexture": texture}}),
     );
-    let attributes = json!({"POSITION": 0, "NORMAL": normals, "COLOR_0": colors});
+    let places = scene.floats("VEC3", &[1.0, 2.0, 3.0]);
+    let coords = scene.floats("VEC2", &[0.0, 0.0, 1.0, 0.0, 0.0, 1.0]);
+    let attributes =
+        json!({"POSITION": 0, "NORMAL": normals, "COLOR_0": colors, "TEXCOORD_1": coords});
     scene.json["meshes"][0]["primitives"] = json!([
         {"attributes": attributes, "indices": 1, "material": 0},
         {"attributes": {"POSITION": 0}, "mode": 5},
     ]);
-    scene.json["nodes"] = json!([{"children": [1, 2], "scale": [1.0, -2.0, 1.0]}, {"mesh": 0}, {"mesh": 0, "scale": [1.0, 1.0, 0.0]}]);
+    let instances = json!({"EXT_mesh_gpu_instancing": {"attributes": {"TRANSLATION": places}}});
+    scene.json["nodes"] = json!([{"children": [1, 2], "scale": [1.0, -2.0, 1.0]}, {"mesh": 0, "extensions": instances}, {"mesh": 0, "scale": [1.0, 1.0, 0.0]}]);
     scene.json["scenes"] = json!([{"nodes": [0]}]);
     scene
 }
 
 /// What every import promises, whatever the file was.
 fn check(bytes: &[u8]) -> Result<(), TestCaseError> {
-    let Ok(source) = import_bytes(Path::new("scene.glb"), bytes) else { return Ok(()) };
-    for mesh in &source.meshes {
-        let vertices = mesh.positions.len();
-        prop_assert!(mesh.normals.len() == vertices && mesh.colors.len() == vertices);
-        prop_assert!(mesh.indices.iter().flatten().all(|&index| (index as usize) < vertices));
-        prop_assert!(
-            mesh.positions.iter().chain(&mesh.normals).flatten().all(|lane| lane.is_finite())
-        );
-        prop_assert!(
-            mesh.normals
-                .iter()
-                .all(|n| (n.iter().map(|lane| lane * lane).sum::<f32>() - 1.0).abs() < 1e-5)
-        );
+    match import_bytes(Path::new("scene.glb"), bytes) {
+        Ok(source) => crate::import::testing::check(&source, TEXTURE_SIDE),
+        Err(_) => Ok(()),
     }
-    prop_assert!(source.objects.iter().all(|object| object.mesh < source.meshes.len()));
-    prop_assert!(source.objects.iter().all(|object| object.world_from_mesh.is_finite()));
-    prop_assert!(source.meshes.iter().any(|mesh| !mesh.indices.is_empty()));
-    Ok(())
 }
 
 #[test]
@@ -262,8 +257,12 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 2000, failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
-    fn no_mutation_of_the_bytes_panics(edits in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..6)) {
-        let mut bytes = rich().bytes();
+    fn no_mutation_of_the_bytes_panics(
+        edits in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..6),
+        compressed: bool,
+    ) {
+        let scene = if compressed { square("TRIANGLES") } else { rich() };
+        let mut bytes = scene.bytes();
         for (place, value) in edits {
             let place = place.index(bytes.len());
             bytes[place] = value;
@@ -280,8 +279,9 @@ proptest! {
             any::<f64>().prop_filter("JSON has no others", |x| x.is_finite()).prop_map(|x| format!("{x:e}")),
             Just("[]".to_owned()), Just("null".to_owned()), Just("{}".to_owned()),
         ]), 1..4),
+        compressed: bool,
     ) {
-        let scene = rich();
+        let scene = if compressed { square("INDICES") } else { rich() };
         let mut json = scene.json.clone();
         json["buffers"][0]["byteLength"] = scene.bin.len().into();
         let mut text = json.to_string();

@@ -2,8 +2,9 @@
 
 use serde_json::{Value, json};
 
-use crate::import::gltf::testing::{F32, Scene, TEXTURE_SIDE, U8, png};
+use crate::import::gltf::testing::{F32, Scene, U8, png};
 use crate::import::import_all;
+use crate::import::testing::TEXTURE_SIDE;
 use crate::source::{Alpha, Section, Source, Surface, Wrap};
 
 const BLACK: [u8; 4] = [0, 0, 0, 255];

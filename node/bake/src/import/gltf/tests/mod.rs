@@ -1,6 +1,7 @@
 //! Whole scenes, good and bad, through the importer.
 
 mod broken;
+mod extensions;
 mod features;
 mod materials;
 mod real;
