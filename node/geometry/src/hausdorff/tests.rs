@@ -192,7 +192,10 @@ fn what_is_not_told_to_be_far_is_bounded() {
             let alone = Mesh { triangles: vec![*t], ..from.clone() };
             let proven = directed(&alone, &to, &Goal { slack: 0.01, ..TIGHT });
             if proven.lower > limit {
-                assert!(found.contains(&id) || rest.upper >= proven.lower, "{limit} {id} {proven:?}");
+                assert!(
+                    found.contains(&id) || rest.upper >= proven.lower,
+                    "{limit} {id} {proven:?}"
+                );
             }
             if proven.upper * 1.2 < limit {
                 assert!(!found.contains(&id), "{limit} {id} {proven:?}");
