@@ -62,7 +62,8 @@ pub(crate) fn run(args: Args) -> Result<(), Failure> {
     let store = scene_file::open(&args.scene)?;
     let verified = scene::verify::verify(&store).or_exit(BAD_DATA)?;
     let effort = Effort { samples: args.samples, ..Effort::default() };
-    let deep = args.deep.then(|| scene::deep::deep(&store, &effort)).transpose().or_exit(BAD_DATA)?;
+    let deep =
+        args.deep.then(|| scene::deep::deep(&store, &effort)).transpose().or_exit(BAD_DATA)?;
     let report = Report {
         scene: args.scene.display().to_string(),
         bytes: verified.bytes,
