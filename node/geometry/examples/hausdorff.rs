@@ -4,7 +4,7 @@
 use geometry::hausdorff::{Goal, Surface, directed, sampled};
 use geometry::mesh::{Mesh, MeshVertex};
 use geometry::simplify::simplify;
-use geometry::weld::weld;
+use geometry::weld::{Weld, weld};
 use glam::{DVec3, Vec3};
 use std::time::Instant;
 
@@ -32,7 +32,7 @@ fn main() {
         let fine = sheet(32, wave);
         for share in [2, 4, 16] {
             let target = fine.triangles.len() / share;
-            let welded = weld(&fine, 1e-9);
+            let welded = weld(&fine, Weld::within(1e-9));
             let reduced = simplify(&welded, target, 0.5);
             let coarse = welded.with_triangles(&reduced.triangles);
             for enough in [0.0, 1.0] {
