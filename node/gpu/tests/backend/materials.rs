@@ -32,14 +32,14 @@ impl Both {
         };
         let made: Vec<_> = textures.iter().map(record).collect();
         let textures: Vec<_> = made.iter().map(|(texture, bytes)| (*texture, &bytes[..])).collect();
-        both.gpu.upload_textures(&textures).unwrap();
-        both.cpu.upload_textures(&textures).unwrap();
+        both.gpu.upload_textures(&textures).expect("sound textures");
+        both.cpu.upload_textures(&textures).expect("sound textures");
         Some(both)
     }
 
     fn upload(&mut self, id: u32, blob: &Blob, bytes: &[u8]) {
-        self.gpu.upload(BlobId(id), blob, bytes).unwrap();
-        self.cpu.upload(BlobId(id), blob, bytes).unwrap();
+        self.gpu.upload(BlobId(id), blob, bytes).expect("a sound blob");
+        self.cpu.upload(BlobId(id), blob, bytes).expect("a sound blob");
     }
 
     /// The unit square of one class; textured where there is a texture coordinate at its corner (1, 1).
@@ -78,7 +78,7 @@ impl Both {
     }
 }
 
-/// Smooth noise with alpha: neighbours differ, but no filter is judged by a single bit.
+/// Noise with alpha.
 fn noise(side: u32, seed: u64) -> Vec<u8> {
     let mut random = StdRng::seed_from_u64(seed);
     (0..4 * side * side).map(|_| random.random_range(40..=255)).collect()
@@ -181,7 +181,7 @@ fn what_blends_has_an_item_layer_of_its_own() {
     let Some(mut both) = Both::new(&[]) else { return };
     both.square(0, Class::OpaqueDouble, u32::MAX, None);
     both.square(1, Class::BlendDouble, RED, None);
-    let draws = [wall(0, 9.0, 0.0, 6.0), wall(1, 2.0, 0.0, 2.0), wall(1, 2.0, 0.0, 7.0)];
+    let draws = [wall(0, 20.0, 0.0, 6.0), wall(1, 2.0, 0.0, 2.0), wall(1, 2.0, 0.0, 7.0)];
     let layers = |backend: &mut dyn Backend| {
         let pass = scene::backend::Pass::Items { view: view(WIDTH, HEIGHT), draws: draws.to_vec() };
         backend.submit(pass).unwrap();

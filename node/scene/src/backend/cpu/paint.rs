@@ -127,7 +127,10 @@ impl<'a> Painter<'a> {
     }
 
     fn pixel(&self, x: u32, y: u32) -> Pixel {
-        Pixel { center: self.projection.pixel_center(x, y), step: self.projection.pixel_step() }
+        let center = |x, y| self.projection.pixel_center(x, y);
+        let [left, upper] = center(x & !1, y & !1);
+        let [right, lower] = center(x | 1, y | 1);
+        Pixel { center: center(x, y), block: [[left, right], [upper, lower]] }
     }
 
     /// Indices of draws with classes: all of one class before any of the next, so that the order of what

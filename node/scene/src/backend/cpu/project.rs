@@ -87,11 +87,6 @@ impl Projection {
         [(f64::from(x) + 0.5) / half_width - 1.0, 1.0 - (f64::from(y) + 0.5) / half_height]
     }
 
-    /// What they change by to the next pixel across and down.
-    pub(super) fn pixel_step(&self) -> [f64; 2] {
-        [1.0 / self.half[0], -1.0 / self.half[1]]
-    }
-
     /// Rows of the inverse of clip (x, y, w) from eye; all zero where there is none.
     pub(super) fn eye_from_clip(&self) -> [[f64; 3]; 3] {
         let [x, y, w] = self.clip_from_eye.map(|[a, b, c, _]| [a, b, c]);

@@ -83,8 +83,8 @@ pub(super) struct Surface {
 pub(super) struct Pixel {
     /// Normalised device coordinates of its centre.
     pub(super) center: [f64; 2],
-    /// What they change by to the next pixel across and down.
-    pub(super) step: [f64; 2],
+    /// Columns and rows of its block of two by two, left and upper first, in the same coordinates.
+    pub(super) block: [[f64; 2]; 2],
 }
 
 impl Surface {
@@ -124,13 +124,16 @@ impl Surface {
                 (0..3).map(|i| products[i] / sum * f64::from(corners[i].tex_coord[k])).sum()
             })
         };
-        let [x, y] = pixel.center;
-        let at = tex_coord(pixel.center);
-        let to = |other: [f64; 2]| std::array::from_fn(|k| (other[k] - at[k]) as f32);
+        let ([x, y], [columns, rows]) = (pixel.center, pixel.block);
+        // Both pixels of a pair have the step between them, as they have with graphics drivers.
+        let step = |from: [f64; 2], to: [f64; 2]| {
+            let (from, to) = (tex_coord(from), tex_coord(to));
+            std::array::from_fn(|k| (to[k] - from[k]) as f32)
+        };
         let footprint = Footprint {
-            at: at.map(|c| c as f32),
-            across: to(tex_coord([x + pixel.step[0], y])),
-            down: to(tex_coord([x, y + pixel.step[1]])),
+            at: tex_coord(pixel.center).map(|c| c as f32),
+            across: step([columns[0], y], [columns[1], y]),
+            down: step([x, rows[0]], [x, rows[1]]),
         };
         let texture = textures.sample(corners[0].texture, &footprint);
         std::array::from_fn(|k| color[k] * texture[k])
