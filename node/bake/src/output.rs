@@ -14,11 +14,14 @@ use protocol::id::BlobId;
 use std::path::Path;
 use std::time::Instant;
 
+/// Levels of one hlod and the only part of each, its place in the table still open.
+type OwnLevels = Vec<(Level, Part)>;
+
 /// What has been written so far.
 pub(crate) struct Output {
     writer: SceneWriter,
     /// By node: the hlod, its links and first level still open, and its levels.
-    hlods: Vec<Option<(Hlod, Vec<(Level, Part)>)>>,
+    hlods: Vec<Option<(Hlod, OwnLevels)>>,
     written_triangles: u64,
     /// Spent writing.
     pub(crate) seconds: f64,
