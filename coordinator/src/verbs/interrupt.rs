@@ -1,7 +1,6 @@
-//! Ctrl-C and requests to terminate: a half-written scene goes, a run ends its own nodes.
+//! Ctrl-C and requests to terminate: what is finished of a scene is kept, a run ends its own nodes.
 
 use super::exit::OTHER;
-use protocol::format::SceneWriter;
 use std::path::PathBuf;
 use std::sync::{Mutex, MutexGuard, Once, PoisonError};
 
@@ -51,7 +50,7 @@ fn listen() {
         Ok(mut signals) => {
             std::thread::spawn(move || signals.forever().for_each(|_| interrupted()));
         }
-        Err(error) => tracing::warn!("an interrupt will leave unfinished files behind: {error}"),
+        Err(error) => tracing::warn!("an interrupt will end this without a word: {error}"),
     }
 }
 
@@ -59,10 +58,12 @@ fn listen() {
 fn interrupted() {
     match &*work() {
         Work::Running => return,
-        Work::Baking(output) => {
-            SceneWriter::abandon(output);
-            eprintln!("occluster: interrupted: {} was not written", output.display());
-        }
+        Work::Baking(output) => eprintln!(
+            "occluster: interrupted: {} was not written; what is finished is kept in {}, and the same \
+             command goes on from it",
+            output.display(),
+            ::bake::working_folder(output).display()
+        ),
         Work::Other => eprintln!("occluster: interrupted"),
     }
     std::process::exit(OTHER.into());

@@ -23,4 +23,4 @@ mod work;
 pub use options::Options;
 pub use pipeline::{BakeError, bake, bake_scene};
 pub use summary::Summary;
-pub use work::WorkError;
+pub use work::{WorkError, working_folder};

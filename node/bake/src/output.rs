@@ -89,6 +89,11 @@ impl Output {
         Ok((output, notes))
     }
 
+    /// Forgets what was written, so that [`Output::begin`] starts anew.
+    pub(crate) fn forget(work: &Work) {
+        work.forget(JOURNAL);
+    }
+
     /// Writes one mesh.
     pub(crate) fn write_mesh(&mut self, mesh: &Packed) -> Result<BlobId, BakeError> {
         let start = Instant::now();

@@ -118,20 +118,12 @@ pub fn bake(
     }
     let work = Work::open(output)?;
     progress.stage("import", inputs.len() as u64);
-    let scene = match loaded(&work, "import", &keys.import, Scene::decode)
-        .filter(|scene| is_as_long(Scene::open(&work), scene.spooled_bytes()))
-    {
-        Some(scene) => scene,
-        None => {
-            let scene = import_all(&work, inputs, options, progress)?;
-            work.save("import", &keys.import, &scene.encode())?;
-            scene
-        }
-    };
+    let imported = imported(&work, inputs, options, &keys, progress);
     clock.seconds.import = clock.lap();
     let names: Vec<String> = inputs.iter().map(|input| input.display().to_string()).collect();
     let job = Job { name: names.join(", "), output, options, keys, progress };
-    job.run(work, scene, clock)
+    let done = imported.and_then(|scene| job.run(&work, scene, clock));
+    close(work, done)
 }
 
 /// Bakes a scene that is handed over piece by piece; `name` stands for it in messages. `fill` is
@@ -146,13 +138,55 @@ pub fn bake_scene(
     options.check()?;
     let mut clock = Clock::start();
     let work = Work::open(output)?;
+    work.forget("import");
     let mut spool = Spool::create(&work)?;
     let imported = fill(&mut spool).map_err(|e| WorkError::io(output, e))?;
     let scene = spool.finish(imported)?;
     clock.seconds.import = clock.lap();
     let keys = Keys::of_content(keys::unknown(), options);
     let job = Job { name: name.to_owned(), output, options, keys, progress };
-    job.run(work, scene, clock)
+    let done = job.run(&work, scene, clock);
+    close(work, done)
+}
+
+/// Takes the working folder away where nothing in it is of use any more.
+fn close(work: Work, done: Result<Summary, BakeError>) -> Result<Summary, BakeError> {
+    match done {
+        Ok(_) => work.remove()?,
+        // The source's fault, which is better told than that its traces cannot be removed.
+        Err(BakeError::Import(_) | BakeError::Empty { .. }) => drop(work.remove()),
+        Err(_) => {}
+    }
+    done
+}
+
+/// The imported scene, from the working folder or read now.
+fn imported(
+    work: &Work,
+    inputs: &[PathBuf],
+    options: &Options,
+    keys: &Keys,
+    progress: &dyn Progress,
+) -> Result<Scene, BakeError> {
+    // Without textures nobody reads the meshes any more once there are pieces.
+    let is_usable = |scene: &Scene| {
+        is_as_long(Scene::open(work), scene.spooled_bytes())
+            || scene.textures.is_empty() && kept_pieces(work, keys).is_some()
+    };
+    if let Some(scene) = loaded(work, "import", &keys.import, Scene::decode).filter(is_usable) {
+        return Ok(scene);
+    }
+    // Its meshes are overwritten.
+    work.forget("import");
+    let scene = import_all(work, inputs, options, progress)?;
+    work.save("import", &keys.import, &scene.encode())?;
+    Ok(scene)
+}
+
+/// The pieces that are in the working folder.
+fn kept_pieces(work: &Work, keys: &Keys) -> Option<Pieces> {
+    loaded(work, "partition", &keys.pieces, Pieces::decode)
+        .filter(|pieces| is_as_long(Pieces::open(work), pieces.file_bytes()))
 }
 
 /// Reads all sources into the working folder.
@@ -233,22 +267,27 @@ struct Job<'a> {
 }
 
 impl Job<'_> {
-    fn run(self, work: Work, scene: Scene, clock: Clock) -> Result<Summary, BakeError> {
+    fn run(self, work: &Work, scene: Scene, clock: Clock) -> Result<Summary, BakeError> {
         let jobs = self.options.jobs;
         let pool = rayon::ThreadPoolBuilder::new().num_threads(jobs).build();
         let pool = pool.map_err(|source| BakeError::Threads { jobs, source })?;
         pool.install(|| self.stages(work, scene, clock))
     }
 
-    fn stages(&self, work: Work, scene: Scene, mut clock: Clock) -> Result<Summary, BakeError> {
-        let pieces = self.pieces(&work, &scene)?;
+    fn stages(&self, work: &Work, scene: Scene, mut clock: Clock) -> Result<Summary, BakeError> {
+        let pieces = self.pieces(work, &scene)?;
         clock.seconds.partition = clock.lap();
         self.progress.stage("hierarchy", 1);
         let plan = Plan::new(&scene, &pieces, self.options);
         clock.seconds.hierarchy = clock.lap();
         let nodes = plan.tree.nodes.len();
-        let (mut output, notes) = Output::begin(&work, self.output, &self.keys.scene, nodes)?;
-        let tally = self.build(&work, &scene, &pieces, &plan, &mut output, notes)?;
+        let begin = || Output::begin(work, self.output, &self.keys.scene, nodes);
+        let (mut output, mut notes) = begin()?;
+        if notes.first().is_some_and(|table| !shared::is_whole(work, table)) {
+            Output::forget(work);
+            (output, notes) = begin()?;
+        }
+        let tally = self.build(work, &scene, &pieces, &plan, &mut output, notes)?;
         let building = clock.lap() - output.seconds;
         let (leaf_ns, inner_ns) = (tally.leaf_ns.load(ORDER), tally.inner_ns.load(ORDER));
         let leaf_share = leaf_ns as f64 / (leaf_ns + inner_ns).max(1) as f64;
@@ -257,7 +296,7 @@ impl Job<'_> {
 
         self.progress.stage("write", 1);
         if !scene.textures.is_empty() {
-            let source = Scene::open(&work)?;
+            let source = Scene::open(work)?;
             for (index, texture) in scene.textures.iter().enumerate() {
                 let rgba = scene.texture(&source, index)?;
                 output.write_texture(texture.side, texture.wrap.map(format_wrap), &rgba)?;
@@ -266,7 +305,6 @@ impl Job<'_> {
         let info = self.info(&scene, &pieces, &plan);
         let (seconds, written_triangles) = (output.seconds, output.written_triangles);
         let written = output.finish(info, &plan)?;
-        work.remove()?;
         self.progress.finish();
         clock.seconds.write = seconds + clock.lap();
         let made = summary::Made { scene: &scene, pieces: &pieces, plan: &plan, tally: &tally };
@@ -275,10 +313,7 @@ impl Job<'_> {
 
     /// The pieces of all meshes, from the working folder or made now.
     fn pieces(&self, work: &Work, scene: &Scene) -> Result<Pieces, BakeError> {
-        let decode = |bytes: &[u8]| Pieces::decode(bytes);
-        let kept = loaded(work, "partition", &self.keys.pieces, decode)
-            .filter(|pieces| is_as_long(Pieces::open(work), pieces.file_bytes()));
-        let pieces = match kept {
+        let pieces = match kept_pieces(work, &self.keys) {
             Some(pieces) => pieces,
             None => {
                 let allowed = self.options.memory;
@@ -290,6 +325,8 @@ impl Job<'_> {
                 self.progress.stage("partition", scene.meshes.len() as u64);
                 let budget = allowed / SLICING_FACTOR;
                 let advance = || self.progress.advance(1);
+                // Its pieces are overwritten.
+                work.forget("partition");
                 let pieces = Pieces::make(work, scene, self.options, budget, advance)?;
                 work.save("partition", &self.keys.pieces, &pieces.encode())?;
                 pieces
@@ -344,12 +381,11 @@ impl Job<'_> {
         };
         let mut climb = Climb { builder: &builder, tops: Vec::new() };
         climb.tops.resize_with(plan.tree.nodes.len(), || None);
-        let blocks = self.blocks(pieces, plan);
-        let done = notes.len().min(blocks.len());
         for note in notes {
             climb.recall(&note).map_err(|torn| WorkError::io(self.output, torn.into()))?;
         }
-        for few in blocks[done..].chunks(2 * rayon::current_num_threads()) {
+        let blocks = self.blocks(pieces, plan, &climb.tops);
+        for few in blocks.chunks(2 * rayon::current_num_threads()) {
             let subtrees: Vec<Subtree> =
                 few.par_iter().map(|&node| builder.subtree(node)).collect::<Result<_, _>>()?;
             for (&node, subtree) in few.iter().zip(subtrees) {
@@ -364,22 +400,31 @@ impl Job<'_> {
         Ok(builder.tally)
     }
 
-    /// Subtrees to build as a whole, in tree order.
-    fn blocks(&self, pieces: &Pieces, plan: &Plan) -> Vec<u32> {
+    /// Subtrees to build as a whole, in tree order, where none of `tops` is there already. Those may
+    /// come from a bake with more or fewer threads, so of other subtrees than would be taken now.
+    fn blocks(&self, pieces: &Pieces, plan: &Plan, tops: &[Option<Top>]) -> Vec<u32> {
         let in_flight = 2 * rayon::current_num_threads() as u64;
         let most = self.options.memory / (in_flight * BLOCK_BYTES);
         let most = most.clamp(1, MOST_BLOCK_TRIANGLES);
         let triangles = plan.source_triangles(pieces);
         let nodes = &plan.tree.nodes;
-        let is_block =
-            |node: u32| triangles[node as usize] <= most || nodes[node as usize].item.is_some();
-        let is_below_block = |node: u32| nodes[node as usize].parent.is_some_and(is_block);
+        let mut begun: Vec<bool> = tops.iter().map(Option::is_some).collect();
+        // A parent's number is less than its children's.
+        for (id, node) in nodes.iter().enumerate().rev() {
+            if let Some(parent) = node.parent {
+                begun[parent as usize] |= begun[id];
+            }
+        }
+        let is_small = |node: usize| triangles[node] <= most || nodes[node].item.is_some();
         let mut blocks: Vec<u32> = Vec::new();
         // In the order of a walk that visits children before what comes after their parent.
         let mut open = vec![0u32];
         while let Some(node) = open.pop() {
-            if is_block(node) {
-                debug_assert!(!is_below_block(node));
+            let index = node as usize;
+            if tops[index].is_some() {
+                continue;
+            }
+            if is_small(index) && !begun[index] {
                 blocks.push(node);
             } else {
                 open.extend(plan.tree.children(node).rev());

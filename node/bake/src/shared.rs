@@ -137,6 +137,14 @@ impl<'a> SharedLevels<'a> {
     }
 }
 
+/// Whether all that the table speaks of is in the working folder.
+pub(crate) fn is_whole(work: &Work, table: &[u8]) -> bool {
+    let Ok(levels) = decode(table) else { return false };
+    let ends = levels.iter().flatten().map(|l| l.span.offset.saturating_add(l.span.bytes));
+    let needed = ends.max().unwrap_or(0);
+    Records::open(&work.path(SHARED)).is_ok_and(|file| file.length() >= needed)
+}
+
 fn decode(table: &[u8]) -> Result<Vec<Vec<SharedLevel>>, Torn> {
     let from = &mut Decoder(table);
     let mut all = Vec::new();

@@ -39,6 +39,12 @@ impl WorkError {
     }
 }
 
+/// Where a bake of `output` keeps what is finished, until all of it is.
+pub fn working_folder(output: &Path) -> PathBuf {
+    let name = output.file_name().unwrap_or_default().to_string_lossy();
+    output.with_file_name(format!(".{name}.bake"))
+}
+
 /// The folder, locked.
 #[derive(Debug)]
 pub(crate) struct Work {
@@ -50,11 +56,19 @@ pub(crate) struct Work {
 impl Work {
     /// Makes and locks the folder for `output`.
     pub(crate) fn open(output: &Path) -> Result<Self, WorkError> {
-        let name = output.file_name().unwrap_or_default().to_string_lossy();
-        let folder = output.with_file_name(format!(".{name}.bake"));
+        // Only the last step of a bake would find out.
+        if output.is_dir() {
+            return Err(WorkError::io(output, io::ErrorKind::IsADirectory.into()));
+        }
+        let folder = working_folder(output);
         let at = |source| WorkError::io(&folder, source);
         loop {
-            std::fs::create_dir_all(&folder).map_err(at)?;
+            match std::fs::create_dir(&folder) {
+                Err(error) if error.kind() != io::ErrorKind::AlreadyExists => {
+                    return Err(at(error));
+                }
+                _ => {}
+            }
             let path = folder.join("lock");
             let lock = match File::create(&path) {
                 // A bake that ended took its folder away between the two steps.
@@ -107,7 +121,7 @@ impl Work {
         let _ = std::fs::remove_file(self.path(name));
     }
 
-    /// Removes the folder, the scene being finished.
+    /// Removes the folder, there being nothing to go on with.
     pub(crate) fn remove(self) -> Result<(), WorkError> {
         std::fs::remove_dir_all(&self.folder).map_err(|source| WorkError::io(&self.folder, source))
     }

@@ -184,17 +184,6 @@ impl SceneWriter {
         Ok(writer)
     }
 
-    /// Removes what this process has begun to write for `path`: for an exit that drops no writer.
-    pub fn abandon(path: &Path) {
-        let Some(begins) = Temporary::begins(path) else { return };
-        for entry in std::fs::read_dir(folder_of(path)).into_iter().flatten().flatten() {
-            if entry.file_name().as_encoded_bytes().starts_with(begins.as_encoded_bytes()) {
-                // Nobody is left to tell if this fails; the name says what the file is.
-                let _ = std::fs::remove_file(entry.path());
-            }
-        }
-    }
-
     /// Appends a mesh: `origin` and `step` place its grid in mesh space. Its triangles are sorted by
     /// [`Class`] and counted in `classes`.
     ///
