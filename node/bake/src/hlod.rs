@@ -315,6 +315,8 @@ impl Builder<'_> {
     fn push(&self, top: &mut Top, level: CoarseMesh) {
         let CoarseMesh { mesh, error } = level;
         let packed = pack(&mesh, top.step, self.surfaces()).expect(HAS_AREA);
+        let points = packed.positions().map(DVec3::from_array);
+        top.built.bounds = top.built.bounds.union(Aabb::of(points));
         let part = PendingPart { geometry: Geometry::Packed(packed), transform: NONE };
         let triangles = part_triangles(&part);
         top.built.levels.push(PendingLevel { error, triangles, parts: vec![part] });
@@ -349,6 +351,9 @@ impl Builder<'_> {
             // Nothing above the root takes over from it.
             self.extend(&mut top, f64::INFINITY, usize::MAX);
         }
+        // Children may have grown by levels they were given here.
+        let below = children.iter().map(|child| child.built.bounds);
+        top.built.bounds = below.fold(top.built.bounds, Aabb::union);
         self.tally.inner_ns.fetch_add(start.elapsed().as_nanos() as u64, Ordering::Relaxed);
         Ok(top)
     }
@@ -454,13 +459,6 @@ impl Builder<'_> {
         for level in made {
             self.push(top, level);
         }
-        let packed = top.built.levels.iter().flat_map(|level| &level.parts);
-        top.built.bounds = packed.fold(top.built.bounds, |sum, part| match &part.geometry {
-            Geometry::Packed(packed) => {
-                sum.union(Aabb::of(packed.positions().map(DVec3::from_array)))
-            }
-            Geometry::Written(_) => sum,
-        });
         Ok(())
     }
 }
