@@ -452,7 +452,8 @@ impl Builder<'_> {
             return Ok(());
         }
         for child in children.iter_mut().filter(|child| child.worst < made[0].error * GAP) {
-            self.extend(child, made[0].error, usize::MAX);
+            // A level after one that errs half as much would hardly stay below.
+            self.extend(child, made[0].error * 0.5, usize::MAX);
         }
         let floor = raise(&mut made, children);
         self.trim(children, floor);
