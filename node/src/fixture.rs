@@ -1,7 +1,7 @@
 //! A small scene file for tests: a root over solid boxes, all instances of one cube.
 
 use protocol::format::{Class, Finished, Hlod, Level, NONE, Part, SceneInfo, SceneWriter};
-use protocol::format::{Transform, Vertex, Vertices};
+use protocol::format::{TexturedVertex, Transform, Vertex, Vertices, Wrap};
 use std::path::Path;
 
 /// A solid box, and the bounds its hlod claims, which may be wider.
@@ -35,8 +35,9 @@ pub(crate) fn street() -> Vec<Piece> {
     pieces
 }
 
-/// Writes the scene of `pieces`; each is a leaf whose item id is its place plus 1.
-pub(crate) fn write(path: &Path, pieces: &[Piece]) -> Finished {
+/// Writes the scene of `pieces`; each is a leaf whose item id is its place plus 1. `textured` boxes are
+/// opaque by half, and else have holes or blend.
+pub(crate) fn write(path: &Path, pieces: &[Piece], textured: bool) -> Finished {
     let mut writer = SceneWriter::create(path).unwrap();
     let corner = |bits: u32| [bits & 1, bits >> 1 & 1, bits >> 2];
     let vertex = |bits| Vertex {
@@ -53,8 +54,23 @@ pub(crate) fn write(path: &Path, pieces: &[Piece]) -> Finished {
         }
     }
     let triangles = (indices.len() / 3) as u32;
-    let (vertices, classes) = (Vertices::Plain(&vertices), Class::OpaqueDouble.all(triangles));
+    let with_texture = |plain: &Vertex| TexturedVertex {
+        plain: *plain,
+        tex_coord: [plain.grid()[0] as f32 * 3.0, (plain.grid()[1] + plain.grid()[2]) as f32],
+        texture: 0,
+        cutoff: 0.5,
+    };
+    let with_textures: Vec<TexturedVertex> = vertices.iter().map(with_texture).collect();
+    let (vertices, classes) = if textured {
+        (Vertices::Textured(&with_textures), [2, 4, 1, 2, 1, 2])
+    } else {
+        (Vertices::Plain(&vertices), Class::OpaqueDouble.all(triangles))
+    };
     let blob = writer.add_blob([0.0; 3], 1.0, vertices, &indices, classes).unwrap().0;
+    if textured {
+        let pixels = [[255u8, 200, 90, 255], [40, 80, 255, 60]].as_flattened().repeat(2);
+        writer.add_texture(2, [Wrap::Repeat; 2], &pixels).unwrap();
+    }
     let all = triangles * pieces.len() as u32;
     let extreme = |pick: fn(f64, f64) -> f64, corner: usize| {
         let corners = pieces.iter().map(|piece| piece.bounds[corner]);

@@ -1,9 +1,10 @@
 //! Which geometry the backend holds: read from the store at first need.
 
+use protocol::format::Texture;
 use protocol::id::BlobId;
 use protocol::telemetry::IoCounts;
 use scene::backend::{Backend, Draw};
-use scene::store::Store;
+use scene::store::{Store, StoreError};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Instant;
@@ -13,6 +14,7 @@ use crate::role::RoleError;
 /// Marks what the backend holds and counts what had to be read.
 pub(crate) struct Residency {
     held: Vec<bool>,
+    textures_held: bool,
     bytes: Arc<AtomicU64>,
     counts: IoCounts,
 }
@@ -20,7 +22,7 @@ pub(crate) struct Residency {
 impl Residency {
     /// Nothing is held of a scene of `blobs` meshes; `bytes` follows what is.
     pub(crate) fn new(blobs: usize, bytes: Arc<AtomicU64>) -> Self {
-        Self { held: vec![false; blobs], bytes, counts: IoCounts::default() }
+        Self { held: vec![false; blobs], textures_held: false, bytes, counts: IoCounts::default() }
     }
 
     /// Uploads what `draws` need and the backend lacks. A mesh that several draws share counts once
@@ -50,12 +52,29 @@ impl Residency {
         let began = Instant::now();
         let bytes = store.blob(id)?;
         let blob = store.skeleton().blob(id);
-        backend.upload(id, blob.vertices, blob.triangles, bytes)?;
+        if blob.is_textured() && !self.textures_held {
+            self.load_textures(store, backend)?;
+        }
+        backend.upload(id, blob, bytes)?;
         self.held[id.index()] = true;
         self.bytes.fetch_add(blob.bytes, Ordering::Relaxed);
         self.counts.misses += 1;
         self.counts.bytes_read += blob.bytes;
         self.counts.stall_ns += began.elapsed().as_nanos() as u64;
+        Ok(())
+    }
+
+    /// Uploads all textures: backends take them at once, before the first mesh that shows one.
+    fn load_textures(&mut self, store: &Store, backend: &mut dyn Backend) -> Result<(), RoleError> {
+        let records = &store.skeleton().textures;
+        let with_bytes = |(index, record): (u32, &Texture)| Ok((*record, store.texture(index)?));
+        let textures: Vec<_> =
+            (0..).zip(records).map(with_bytes).collect::<Result<_, StoreError>>()?;
+        backend.upload_textures(&textures)?;
+        self.textures_held = true;
+        let bytes: u64 = records.iter().map(|record| record.bytes).sum();
+        self.bytes.fetch_add(bytes, Ordering::Relaxed);
+        self.counts.bytes_read += bytes;
         Ok(())
     }
 

@@ -13,8 +13,22 @@ macro_rules! source {
 
 /// Occluders: entry point `vertex_main`, depth alone.
 pub const DEPTH: &str = source!("frame.wgsl", "mesh.wgsl", "depth.wgsl");
-/// The picture: entry points `vertex_main`, `fragment_main`.
-pub const SHADE: &str = source!("frame.wgsl", "mesh.wgsl", "shade.wgsl");
+/// The picture of plain meshes: entry points `vertex_main`, `fragment_main`, `fragment_blend`.
+pub const SHADE: &str = source!("frame.wgsl", "mesh.wgsl", "light.wgsl", "shade.wgsl");
+/// The picture of textured meshes: the same entry points.
+pub const SHADE_TEXTURED: &str =
+    source!("frame.wgsl", "mesh.wgsl", "light.wgsl", "texture.wgsl", "shade_textured.wgsl");
+/// The picture of meshes with holes: entry point `fragment_mask` beside those of [`SHADE_TEXTURED`].
+pub const SHADE_MASK: &str = source!(
+    "frame.wgsl",
+    "mesh.wgsl",
+    "light.wgsl",
+    "texture.wgsl",
+    "shade_textured.wgsl",
+    "shade_mask.wgsl"
+);
+/// Item ids of meshes with holes: entry points `vertex_main`, `fragment_main`.
+pub const ITEMS_MASK: &str = source!("frame.wgsl", "mesh.wgsl", "texture.wgsl", "items_mask.wgsl");
 /// Item ids: entry points `vertex_main`, `fragment_main`.
 pub const ITEMS: &str = source!("frame.wgsl", "mesh.wgsl", "items.wgsl");
 /// Boxes as occlusion queries, entry point `query_vertex`: depth alone, a list of

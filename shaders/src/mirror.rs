@@ -11,6 +11,8 @@ pub enum Kind {
     Uint32x2,
     /// `f32`.
     Float32,
+    /// `vec2<f32>`.
+    Float32x2,
     /// `vec3<f32>`.
     Float32x3,
     /// `mat4x4<f32>`, four columns.
@@ -22,7 +24,7 @@ impl Kind {
     pub const fn size(self) -> usize {
         match self {
             Self::Uint32 | Self::Float32 => 4,
-            Self::Uint32x2 => 8,
+            Self::Uint32x2 | Self::Float32x2 => 8,
             Self::Float32x3 => 12,
             Self::Matrix4 => 64,
         }
@@ -94,6 +96,56 @@ impl Vertex {
     /// Layout.
     pub const FIELDS: &[Field] =
         fields!(Vertex { position: Uint32x2, normal: Uint32, color: Uint32 });
+}
+
+/// What follows a [`Vertex`] in the buffer of a textured mesh.
+#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+pub struct Texturing {
+    /// Not wrapped.
+    pub tex_coord: [f32; 2],
+    /// Index into the [`TextureRecord`]s, or `u32::MAX`.
+    pub texture_index: u32,
+    /// Least alpha of what is there.
+    pub cutoff: f32,
+}
+
+impl Texturing {
+    /// Location of the first field; the others follow.
+    pub const FIRST_LOCATION: u32 = 8;
+    /// Layout.
+    pub const FIELDS: &[Field] =
+        fields!(Texturing { tex_coord: Float32x2, texture_index: Uint32, cutoff: Float32 });
+}
+
+/// Where a texture lies.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Pod, Zeroable)]
+#[repr(C)]
+pub struct TextureRecord {
+    /// Which of the arrays.
+    pub array: u32,
+    /// Its layer there.
+    pub layer: u32,
+    /// Mip of the layer that is the texture's largest.
+    pub first_level: u32,
+    /// Pixels along a side of the largest mip.
+    pub side: u32,
+    /// 0 repeat, 1 clamp, 2 mirror.
+    pub wrap_across: u32,
+    /// The same for the other direction.
+    pub wrap_down: u32,
+}
+
+impl TextureRecord {
+    /// Layout.
+    pub const FIELDS: &[Field] = fields!(TextureRecord {
+        array: Uint32,
+        layer: Uint32,
+        first_level: Uint32,
+        side: Uint32,
+        wrap_across: Uint32,
+        wrap_down: Uint32,
+    });
 }
 
 /// One draw of a mesh in a buffer stepped by instance.

@@ -2,11 +2,24 @@
 
 use naga::valid::{Capabilities, ValidationFlags, Validator};
 use naga::{Binding, Module, Scalar, ScalarKind, StructMember, TypeInner, VectorSize};
-use shaders::mirror::{BoxInstance, Field, Frame, Instance, Kind, Vertex};
+use shaders::mirror::{
+    BoxInstance, Field, Frame, Instance, Kind, TextureRecord, Texturing, Vertex,
+};
 
-const SOURCES: [(&str, &str, &[&str]); 5] = [
+const SOURCES: [(&str, &str, &[&str]); 8] = [
     ("DEPTH", shaders::DEPTH, &["vertex_main"]),
-    ("SHADE", shaders::SHADE, &["vertex_main", "fragment_main"]),
+    ("SHADE", shaders::SHADE, &["vertex_main", "fragment_main", "fragment_blend"]),
+    (
+        "SHADE_TEXTURED",
+        shaders::SHADE_TEXTURED,
+        &["vertex_main", "fragment_main", "fragment_blend"],
+    ),
+    (
+        "SHADE_MASK",
+        shaders::SHADE_MASK,
+        &["vertex_main", "fragment_main", "fragment_blend", "fragment_mask"],
+    ),
+    ("ITEMS_MASK", shaders::ITEMS_MASK, &["vertex_main", "fragment_main"]),
     ("ITEMS", shaders::ITEMS, &["vertex_main", "fragment_main"]),
     ("BOX_QUERY", shaders::BOX_QUERY, &["query_vertex"]),
     ("BOX_MARK", shaders::BOX_MARK, &["mark_vertex", "mark_fragment"]),
@@ -38,6 +51,9 @@ fn kind(module: &Module, member: &StructMember) -> Option<Kind> {
         TypeInner::Scalar(s) if is(s, ScalarKind::Float) => Some(Kind::Float32),
         TypeInner::Vector { size: VectorSize::Bi, scalar } if is(scalar, ScalarKind::Uint) => {
             Some(Kind::Uint32x2)
+        }
+        TypeInner::Vector { size: VectorSize::Bi, scalar } if is(scalar, ScalarKind::Float) => {
+            Some(Kind::Float32x2)
         }
         TypeInner::Vector { size: VectorSize::Tri, scalar } if is(scalar, ScalarKind::Float) => {
             Some(Kind::Float32x3)
@@ -104,12 +120,19 @@ fn every_source_is_valid_and_has_its_entry_points() {
 
 #[test]
 fn every_mirror_agrees_with_every_source_that_has_it() {
-    let mut seen = [0; 3];
+    let mut seen = [0; 4];
+    let mut records = 0;
     for (name, source, _) in SOURCES {
         let module = parse(name, source);
         check_memory(name, &module, "Frame", Frame::FIELDS, size_of::<Frame>());
+        if structure(&module, "TextureRecord").is_some() {
+            let size = size_of::<TextureRecord>();
+            check_memory(name, &module, "TextureRecord", TextureRecord::FIELDS, size);
+            records += 1;
+        }
         let attributes = [
             ("Vertex", Vertex::FIRST_LOCATION, Vertex::FIELDS, size_of::<Vertex>()),
+            ("Texturing", Texturing::FIRST_LOCATION, Texturing::FIELDS, size_of::<Texturing>()),
             ("Instance", Instance::FIRST_LOCATION, Instance::FIELDS, size_of::<Instance>()),
             (
                 "BoxInstance",
@@ -122,7 +145,8 @@ fn every_mirror_agrees_with_every_source_that_has_it() {
             *count += usize::from(check_attributes(&module, name, first, fields, size));
         }
     }
-    assert_eq!(seen, [3, 3, 2], "Vertex, Instance, BoxInstance");
+    assert_eq!(seen, [6, 3, 6, 2], "Vertex, Texturing, Instance, BoxInstance");
+    assert_eq!(records, 3, "TextureRecord");
 }
 
 #[test]
@@ -133,6 +157,13 @@ fn every_position_is_invariant() {
             source.matches("@invariant @builtin(position)").count(),
             "{name}"
         );
+    }
+}
+
+#[test]
+fn only_what_has_holes_discards() {
+    for (name, source, _) in SOURCES {
+        assert_eq!(source.contains("discard"), name.ends_with("_MASK"), "{name}");
     }
 }
 

@@ -4,7 +4,7 @@
 //! Only an hlod, its children's forms and the packed bytes of its subtree are in memory.
 
 use crate::built::{Built, Form, Geometry, PendingLevel, PendingPart, Shape, Subtree, Top};
-use crate::levels::{Chain, CoarseMesh, ERROR_GROWTH, End, Setting};
+use crate::levels::{Chain, CoarseMesh, ERROR_GROWTH, End, Setting, UNSEEN};
 use crate::options::{MAX_MESH_TRIANGLES, Options};
 use crate::pack::{finest_step, pack, snap};
 use crate::pieces::PieceMesh;
@@ -26,11 +26,11 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Instant;
 
 /// A child is put into its parent's mesh with at least so many times the triangles that will be left
-/// of it there.
-const SURPLUS: usize = 2;
+/// of it there, unless it errs too little to be seen in the parent.
+const SURPLUS: f64 = 1.5;
 /// A child whose coarsest level errs by less than this share of what its parent's finest does is
 /// given more levels: nothing else stands for it in between.
-const GAP: f64 = 0.5;
+const GAP: f64 = 0.25;
 /// A level of placed parts is kept only if it has at most this share of the triangles before.
 const PAYING_SHARE: f64 = 0.75;
 /// Instances stand for an hlod where they have at most so many times the triangles of one mesh,
@@ -293,19 +293,14 @@ impl Builder<'_> {
 
     /// Gives an hlod further levels, at most `most`, as long as the last errs by less than `until`.
     fn extend(&self, top: &mut Top, until: f64, most: usize) {
-        let node = top.built.node;
-        let [first, ..] = &top.forms[..] else { return };
-        let Shape::Mesh(base) = &first.shape else { return };
-        let last = top.forms.last().unwrap_or(first);
-        let Shape::Mesh(last_mesh) = &last.shape else { return };
-        if last.error >= until {
+        let Some(Form { error, shape: Shape::Mesh(last), .. }) = top.forms.last() else { return };
+        if *error >= until {
             return;
         }
-        let mut chain = Chain::new(base, first.error, top.epsilon, self.setting(node));
+        let mut chain = Chain::new(last, *error, top.epsilon, self.setting(top.built.node));
         let mut made: Vec<CoarseMesh> = Vec::new();
         while made.len() < most {
-            let (before, finer) =
-                made.last().map_or((last_mesh, last.error), |m| (&m.mesh, m.error));
+            let (before, finer) = made.last().map_or((last, *error), |m| (&m.mesh, m.error));
             if finer >= until {
                 break;
             }
@@ -327,6 +322,8 @@ impl Builder<'_> {
     fn push(&self, top: &mut Top, level: CoarseMesh) {
         let CoarseMesh { mesh, error } = level;
         let packed = pack(&mesh, top.step, self.surfaces()).expect(HAS_AREA);
+        let points = packed.positions().map(DVec3::from_array);
+        top.built.bounds = top.built.bounds.union(Aabb::of(points));
         let part = PendingPart { geometry: Geometry::Packed(packed), transform: NONE };
         let triangles = part_triangles(&part);
         top.built.levels.push(PendingLevel { error, triangles, parts: vec![part] });
@@ -361,6 +358,9 @@ impl Builder<'_> {
             // Nothing above the root takes over from it.
             self.extend(&mut top, f64::INFINITY, usize::MAX);
         }
+        // Children may have grown by levels they were given here.
+        let below = children.iter().map(|child| child.built.bounds);
+        top.built.bounds = below.fold(top.built.bounds, Aabb::union);
         self.tally.inner_ns.fetch_add(start.elapsed().as_nanos() as u64, Ordering::Relaxed);
         Ok(top)
     }
@@ -411,12 +411,14 @@ impl Builder<'_> {
     fn stand_in(&self, top: &mut Top, children: &mut [Top]) -> Result<(), WorkError> {
         let total: usize = children.iter().map(|child| child.forms[0].triangles).sum();
         let target = self.options.hlod_triangles.min(total / children.len());
+        let unseen = top.built.bounds.diagonal() * UNSEEN;
         let mut merged = Mesh::default();
         let mut error = 0.0f64;
         let mut step = f64::INFINITY;
         for child in children.iter() {
-            let least = SURPLUS * target * child.forms[0].triangles / total.max(1);
-            let enough = |form: &&Form| form.triangles >= least;
+            let share = target as f64 * child.forms[0].triangles as f64 / total.max(1) as f64;
+            let least = (SURPLUS * share) as usize;
+            let enough = |form: &&Form| form.triangles >= least || form.error <= unseen;
             let form = child.forms.iter().rev().find(enough).unwrap_or(&child.forms[0]);
             error = error.max(form.error);
             step = step.min(child.step);
@@ -429,6 +431,7 @@ impl Builder<'_> {
                 return Ok(());
             }
         }
+        let target = target.min(merged.triangles.len() / 2);
         let mut chain = Chain::new(&merged, error, top.epsilon, self.setting(top.built.node));
         let mut made: Vec<CoarseMesh> = Vec::new();
         while made.len() < self.options.hlod_levels {
@@ -468,13 +471,6 @@ impl Builder<'_> {
         for level in made {
             self.push(top, level);
         }
-        let packed = top.built.levels.iter().flat_map(|level| &level.parts);
-        top.built.bounds = packed.fold(top.built.bounds, |sum, part| match &part.geometry {
-            Geometry::Packed(packed) => {
-                sum.union(Aabb::of(packed.positions().map(DVec3::from_array)))
-            }
-            Geometry::Written(_) => sum,
-        });
         Ok(())
     }
 }

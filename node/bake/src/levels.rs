@@ -9,6 +9,11 @@ use geometry::simplify::simplify;
 use geometry::weld::{Weld, weld};
 use std::collections::HashSet;
 
+/// An error of this share of a mesh's diagonal is not seen before the mesh is wider than most
+/// screens: up to there a level goes on below its target.
+pub(crate) const UNSEEN: f64 = 1.0 / 2048.0;
+/// How far it may then go below.
+const FAR_BELOW: usize = 8;
 /// Last welding distance as a share of the mesh's diagonal: 16 clusters along it.
 const LAST_EPSILON: f64 = 1.0 / 16.0;
 /// How far simplification may go in a round, in welding distances, before more is welded instead.
@@ -25,11 +30,12 @@ const MOST_ERROR: f64 = 0.25;
 /// of the error that it is added to.
 const ENOUGH: f64 = 0.5;
 /// Nor any tighter than to this share above what it is at least.
-const SLACK: f64 = 0.35;
+const SLACK: f64 = 0.5;
 /// Cuts that a proof may take, by triangle of both meshes.
 const CUTS: usize = 8;
-/// A part that vanished is put back where the error would be so many times what it is elsewhere.
-const VANISHED: f64 = 2.0;
+/// A part that vanished is put back where the error would be so many times what the simplifier thinks it
+/// is, or so many times the error that it is added to.
+const VANISHED: f64 = 3.0;
 /// Least growth of an error from one level to the next, so that the order is strict.
 pub(crate) const ERROR_GROWTH: f64 = 1.0 + 1.0 / (1 << 20) as f64;
 
@@ -127,7 +133,11 @@ impl<'a> Chain<'a> {
             let Setting { depth, single_sided, .. } = self.setting;
             let welded = weld(before, Weld { epsilon: self.epsilon, depth, single_sided });
             let limit = edge.max(self.epsilon * ERROR_PER_EPSILON);
-            let simplified = simplify(&welded, target, limit);
+            let mut simplified = simplify(&welded, target, limit);
+            let unseen = self.diagonal * UNSEEN - welded.displacement;
+            if simplified.triangles.len() <= target && 2.0 * simplified.estimate < unseen {
+                simplified = simplify(&welded, target / FAR_BELOW, unseen);
+            }
             let held = welded.locked.iter().filter(|&&locked| locked).count();
             let coarse = welded.with_triangles(&simplified.triangles);
             if coarse.triangles.is_empty() {
@@ -153,18 +163,18 @@ impl<'a> Chain<'a> {
             slack: SLACK,
             budget: CUTS * (mesh.triangles.len() + self.base.triangles.len()),
         };
-        let back = directed(mesh, &self.base_surface, &goal).upper;
-        let tolerable = VANISHED * back.max(estimate);
-        let goal = Goal { enough: goal.enough.max(back), ..goal };
+        let tolerable = VANISHED * estimate.max(self.base_error);
         let (near, far) = directed_but(self.base, &Surface::new(mesh), &goal, tolerable);
-        if far.is_empty() {
-            return back.max(near.upper);
+        let mut forth = near.upper;
+        if !far.is_empty() {
+            // Only what was far can have come nearer.
+            let far = part(self.base, &far);
+            restore(mesh, &far, tolerable);
+            forth = forth.max(directed(&far, &Surface::new(mesh), &goal).upper);
         }
-        // Only what was far can have come nearer.
-        let far = part(self.base, &far);
-        restore(mesh, &far, tolerable);
-        let rest = directed(&far, &Surface::new(mesh), &goal).upper;
-        back.max(near.upper).max(rest)
+        let goal = Goal { enough: goal.enough.max(forth), ..goal };
+        let back = directed(mesh, &self.base_surface, &goal).upper;
+        forth.max(back)
     }
 }
 

@@ -53,7 +53,7 @@ impl Default for Options {
             texture_side: 512,
             branching: 4,
             hlod_triangles: 2048,
-            hlod_levels: 2,
+            hlod_levels: 1,
             level_least_triangles: 16,
         }
     }

@@ -216,6 +216,8 @@ struct Prover<'a> {
     points: Vec<DVec3>,
     /// A triangle near each vertex, once asked for.
     near: Vec<u32>,
+    /// By vertex, the squared distance to one triangle.
+    known: Vec<(u32, f64)>,
     margin: f64,
     /// Factor from the lower bound to what is wanted.
     factor: f64,
@@ -241,6 +243,7 @@ impl<'a> Prover<'a> {
         let margin = (reach.max(to.reach)) * MARGIN;
         Self {
             near: vec![u32::MAX; points.len()],
+            known: vec![(u32::MAX, 0.0); points.len()],
             points,
             to,
             margin,
@@ -295,10 +298,27 @@ impl<'a> Prover<'a> {
         Some(greatest)
     }
 
+    /// [`Prover::covered`] by the last triangle that settled something. Neighbours are mostly settled
+    /// by the same one, and share corners.
+    fn covered_again(&mut self, triangle: [u32; 3]) -> Option<f64> {
+        let (by, wanted) = (self.hint, self.wanted * self.wanted);
+        let mut greatest = 0.0f64;
+        for v in triangle {
+            let known = &mut self.known[v as usize];
+            if known.0 != by {
+                *known = (by, self.to.triangles[by as usize].distance2(self.points[v as usize]));
+            }
+            greatest = greatest.max(known.1);
+            if greatest > wanted {
+                return None;
+            }
+        }
+        Some(greatest)
+    }
+
     /// Settles a triangle, or leaves what it cannot settle in `open`; returns how often it cut.
     fn settle(&mut self, triangle: [u32; 3], most: usize) -> usize {
-        let corners = triangle.map(|v| self.points[v as usize]);
-        if let Some(greatest) = self.covered(&corners, self.hint, self.wanted * self.wanted) {
+        if let Some(greatest) = self.covered_again(triangle) {
             self.proven = self.proven.max(greatest);
             return 0;
         }

@@ -1,7 +1,7 @@
 //! Rates of the first adapter, by hand: `cargo run --release -p gpu --example measure [SIDE]`.
 
 use gpu::{Adapter, WgpuBackend, adapters};
-use protocol::format::vertex::Vertex;
+use protocol::format::{Blob, Class, Vertex};
 use protocol::id::{BlobId, HlodId};
 use protocol::settings::{Cull, PictureSize};
 use rand::rngs::StdRng;
@@ -27,7 +27,9 @@ fn main() -> Result<(), BackendError> {
     let (vertices, triangles) = ((CELLS + 1) * (CELLS + 1), 2 * CELLS * CELLS);
     let start = Instant::now();
     for blob in 0..MESHES {
-        backend.upload(BlobId(blob), vertices, triangles, &bytes)?;
+        let classes = Class::OpaqueDouble.all(triangles);
+        let record = Blob { vertices, triangles, classes, ..Blob::default() };
+        backend.upload(BlobId(blob), &record, &bytes)?;
     }
     println!("upload: {:.0} MB/s", bytes.len() as f64 * 32e-6 / start.elapsed().as_secs_f64());
 
@@ -112,6 +114,7 @@ fn small_sheet(random: &mut StdRng, blob: u32) -> Draw {
         item: HlodId(blob),
         linear: [[step, 0.0, 0.0], [0.0, step, 0.0], [0.0, 0.0, step]],
         offset: [along(), along(), -distance],
+        distance,
     }
 }
 

@@ -3,7 +3,7 @@
 use crate::queries::QueryBatch;
 use crate::readback::{Readback, Signal};
 use protocol::settings::PictureSize;
-use scene::backend::{BackendError, Completion, Picture, Ticket};
+use scene::backend::{BackendError, Completion, NO_ITEM, Picture, Ticket};
 
 /// What a submission brings.
 pub(crate) enum Awaited {
@@ -17,8 +17,8 @@ pub(crate) enum Awaited {
     Marks { count: usize, answers: Readback },
     /// A picture, and its depth if asked for.
     Picture { size: PictureSize, color: Readback, depth: Option<Readback> },
-    /// Item ids.
-    Items { size: PictureSize, items: Readback },
+    /// Item ids, and those of what blends unless nothing does.
+    Items { size: PictureSize, items: Readback, blended: Option<Readback> },
 }
 
 /// One submission.
@@ -39,7 +39,9 @@ impl Awaited {
             Self::Occluders { done } => [Some(done), None],
             Self::Queries { batch, .. } => [Some(batch.answers.signal()), None],
             Self::Marks { answers, .. } => [Some(answers.signal()), None],
-            Self::Items { items, .. } => [Some(items.signal()), None],
+            Self::Items { items, blended, .. } => {
+                [Some(items.signal()), blended.as_ref().map(Readback::signal)]
+            }
             Self::Picture { color, depth, .. } => {
                 [Some(color.signal()), depth.as_ref().map(Readback::signal)]
             }
@@ -79,9 +81,13 @@ impl Pending {
                     .transpose()?;
                 Completion::Picture { ticket, picture: Picture { rgba, depth } }
             }
-            Awaited::Items { size, items } => {
-                let items = bytemuck::pod_collect_to_vec(&items.read_target(size)?);
-                Completion::Items { ticket, items }
+            Awaited::Items { size, items, blended } => {
+                let items: Vec<u32> = bytemuck::pod_collect_to_vec(&items.read_target(size)?);
+                let blended = match blended {
+                    Some(ids) => bytemuck::pod_collect_to_vec(&ids.read_target(size)?),
+                    None => vec![NO_ITEM; items.len()],
+                };
+                Completion::Items { ticket, items, blended }
             }
         })
     }

@@ -4,16 +4,21 @@ use crate::awaited::{Awaited, Pending};
 use crate::device::{Adapter, Device};
 use crate::draws;
 use crate::geometry_memory::GeometryMemory;
+use crate::mesh_pipelines::{Into, MeshPipelines};
 use crate::pipelines::Pipelines;
 use crate::queries::{self, QueryBatch};
 use crate::readback::{Readback, Signal};
+use crate::recorder::Recorder;
 use crate::stream_buffer::StreamBuffer;
-use crate::targets::{Target, Targets, cleared_depth};
+use crate::targets::{Targets, cleared_depth, read_depth};
+use crate::textures::Textures;
+use protocol::format::Blob;
 use protocol::id::BlobId;
 use protocol::settings::{Cull, PictureSize};
 use protocol::telemetry::BackendInfo;
 use scene::backend::{
-    Backend, BackendError, BoxQuery, Completion, Draw, NO_ITEM, Pass, Ticket, View, light,
+    Backend, BackendError, BoxQuery, Completion, Draw, NO_ITEM, Pass, TextureUpload, Ticket, View,
+    light,
 };
 use shaders::mirror::Frame;
 use std::collections::VecDeque;
@@ -25,8 +30,10 @@ use std::collections::VecDeque;
 pub struct WgpuBackend {
     device: Device,
     pipelines: Pipelines,
+    meshes: MeshPipelines,
     targets: Targets,
     memory: GeometryMemory,
+    textures: Textures,
     instances: StreamBuffer,
     boxes: StreamBuffer,
     query_pool: Vec<QueryBatch>,
@@ -42,7 +49,7 @@ pub(crate) struct Context<'a> {
 }
 
 impl WgpuBackend {
-    /// Opens an adapter and compiles the pipelines. `inclusive_depth_test` is the rule of the box tests:
+    /// Opens an adapter and compiles the pipelines of the box tests; those of meshes follow at need. `inclusive_depth_test` is the rule of the box tests:
     /// a box at the very depth of an occluder counts as visible, without which an occluder hides its own
     /// box; `false` serves tests alone.
     ///
@@ -55,12 +62,15 @@ impl WgpuBackend {
         let device = Device::open(choice)?;
         let targets = Targets::new(&device, size)?;
         let pipelines = Pipelines::new(&device, inclusive_depth_test);
+        let textures = Textures::new(&device);
         device.fault.check()?;
         Ok(Self {
             device,
             pipelines,
+            meshes: MeshPipelines::default(),
             targets,
             memory: GeometryMemory::default(),
+            textures,
             instances: StreamBuffer::default(),
             boxes: StreamBuffer::default(),
             query_pool: Vec::new(),
@@ -85,46 +95,47 @@ impl WgpuBackend {
         Ok(())
     }
 
-    /// Clears and draws, and leaves the encoder open for copies.
-    fn draw(
-        &mut self,
-        pipeline: impl Fn(&Pipelines) -> &wgpu::RenderPipeline,
-        color: impl for<'a> Fn(&'a Targets, &Device) -> Option<(&'a Target, wgpu::Color)>,
-        depth: impl for<'a> Fn(&'a Targets, &Device) -> &'a Target,
-        draws: &[Draw],
-    ) -> wgpu::CommandEncoder {
-        let (instances, runs) = draws::runs(draws, |draw| self.memory.place(draw.blob));
-        let mut encoder = self.device.device.create_command_encoder(&Default::default());
-        let color = color(&self.targets, &self.device).map(|(target, clear)| {
-            Some(wgpu::RenderPassColorAttachment {
-                view: &target.view,
-                depth_slice: None,
-                resolve_target: None,
-                ops: wgpu::Operations {
-                    load: wgpu::LoadOp::Clear(clear),
-                    store: wgpu::StoreOp::Store,
-                },
-            })
-        });
-        let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
-            label: Some("draws"),
-            color_attachments: color.as_slice(),
-            depth_stencil_attachment: Some(cleared_depth(depth(&self.targets, &self.device))),
-            ..Default::default()
-        });
-        if !instances.is_empty() {
-            let buffer = self.instances.write(&self.device, bytemuck::cast_slice(&instances));
-            pass.set_pipeline(pipeline(&self.pipelines));
-            pass.set_bind_group(0, &self.pipelines.frame_group, &[]);
-            pass.set_vertex_buffer(1, buffer.slice(..));
-            draws::record(&mut pass, &self.memory, &runs);
+    /// Clears and draws, and leaves the encoder open for copies. Whether anything blends.
+    fn draw(&mut self, into: Into, draws: &[Draw]) -> (wgpu::CommandEncoder, bool) {
+        let Self { device, targets, memory, .. } = self;
+        let plan = draws::plan(draws, |draw| memory.place(draw.blob));
+        let mut encoder = device.device.create_command_encoder(&Default::default());
+        let instances = (!plan.instances.is_empty())
+            .then(|| self.instances.write(device, bytemuck::cast_slice(&plan.instances)));
+        let mut recorder = Recorder {
+            device,
+            pipelines: &self.pipelines,
+            memory,
+            meshes: &mut self.meshes,
+            textures: &mut self.textures,
+            instances,
+        };
+        let [r, g, b] = light::SKY.map(f64::from);
+        let sky = wgpu::Color { r, g, b, a: 1.0 };
+        let nothing = wgpu::Color { r: f64::from(NO_ITEM), g: 0.0, b: 0.0, a: 0.0 };
+        let mut calls = plan.solid(into);
+        let (color, depth) = match into {
+            Into::Depth => (None, &targets.occlusion),
+            Into::Picture => (Some((targets.color(device), sky)), targets.depth(device)),
+            Into::Items => (Some((targets.items(device), nothing)), targets.depth(device)),
+        };
+        let blending = plan.blending(into);
+        let blends = !blending.is_empty();
+        if into == Into::Picture {
+            calls.extend(blending);
+            recorder.pass(&mut encoder, color, cleared_depth(depth), &calls);
+        } else {
+            recorder.pass(&mut encoder, color, cleared_depth(depth), &calls);
+            if into == Into::Items && blends {
+                let color = Some((targets.blended(device), nothing));
+                recorder.pass(&mut encoder, color, read_depth(depth), &blending);
+            }
         }
-        drop(pass);
-        encoder
+        (encoder, blends)
     }
 
     fn occluders(&mut self, draws: &[Draw]) -> (wgpu::SubmissionIndex, Awaited) {
-        let encoder = self.draw(|p| &p.depth, |_, _| None, |t, _| &t.occlusion, draws);
+        let (encoder, _) = self.draw(Into::Depth, draws);
         let submission = self.device.queue.submit([encoder.finish()]);
         let done = Signal::default();
         let signal = done.clone();
@@ -133,14 +144,7 @@ impl WgpuBackend {
     }
 
     fn shade(&mut self, draws: &[Draw], with_depth: bool) -> (wgpu::SubmissionIndex, Awaited) {
-        let [r, g, b] = light::SKY.map(f64::from);
-        let sky = wgpu::Color { r, g, b, a: 1.0 };
-        let mut encoder = self.draw(
-            |p| &p.shade,
-            |targets, device| Some((targets.color(device), sky)),
-            |targets, device| targets.depth(device),
-            draws,
-        );
+        let (mut encoder, _) = self.draw(Into::Picture, draws);
         let (device, targets, size) = (&self.device, &self.targets, self.targets.size);
         let mut color = Readback::of_target(device, &mut encoder, targets.color(device), size);
         let mut depth = with_depth
@@ -152,18 +156,15 @@ impl WgpuBackend {
     }
 
     fn items(&mut self, draws: &[Draw]) -> (wgpu::SubmissionIndex, Awaited) {
-        let nothing = wgpu::Color { r: f64::from(NO_ITEM), g: 0.0, b: 0.0, a: 0.0 };
-        let mut encoder = self.draw(
-            |p| &p.items,
-            |targets, device| Some((targets.items(device), nothing)),
-            |targets, device| targets.depth(device),
-            draws,
-        );
+        let (mut encoder, blends) = self.draw(Into::Items, draws);
         let (device, targets, size) = (&self.device, &self.targets, self.targets.size);
         let mut items = Readback::of_target(device, &mut encoder, targets.items(device), size);
+        let mut blended = blends
+            .then(|| Readback::of_target(device, &mut encoder, targets.blended(device), size));
         let submission = device.queue.submit([encoder.finish()]);
         items.start();
-        (submission, Awaited::Items { size, items })
+        blended.iter_mut().for_each(Readback::start);
+        (submission, Awaited::Items { size, items, blended })
     }
 
     fn boxes(
@@ -191,14 +192,13 @@ impl Backend for WgpuBackend {
         BackendInfo { name: "gpu".to_owned(), driver: format!("{name}, {driver}") }
     }
 
-    fn upload(
-        &mut self,
-        blob: BlobId,
-        vertices: u32,
-        triangles: u32,
-        bytes: &[u8],
-    ) -> Result<(), BackendError> {
-        self.memory.upload(&self.device, blob, vertices, triangles, bytes)?;
+    fn upload_textures(&mut self, textures: &[TextureUpload<'_>]) -> Result<(), BackendError> {
+        self.textures.upload(&self.device, textures)?;
+        self.device.fault.check()
+    }
+
+    fn upload(&mut self, id: BlobId, blob: &Blob, bytes: &[u8]) -> Result<(), BackendError> {
+        self.memory.upload(&self.device, id, blob, bytes)?;
         self.device.fault.check()
     }
 

@@ -1,14 +1,16 @@
 //! Meshes in device memory: a few large buffers, each holding many blobs.
 //!
 //! A blob stays as it came, vertices and then indices, in one range of one buffer that is bound as
-//! vertex and as index buffer. Ranges are multiples of a vertex, so that both parts have whole offsets.
+//! vertex and as index buffer. Ranges are multiples of the longest vertex, so that both parts have whole offsets.
 
 use crate::device::Device;
 use crate::ranges::Ranges;
+use protocol::format::vertex::Layout;
+use protocol::format::{Blob, Class};
 use protocol::id::BlobId;
 use scene::backend::BackendError;
-use shaders::mirror::Vertex;
 use std::collections::BTreeMap;
+use std::ops::Range;
 
 /// Bytes of the first buffer; each further one is as large as all before it together.
 const FIRST_CHUNK_BYTES: u64 = 4 << 20;
@@ -16,7 +18,9 @@ const FIRST_CHUNK_BYTES: u64 = 4 << 20;
 const LARGEST_CHUNK_BYTES: u64 = 64 << 20;
 /// Uploads between two submissions, which free the staging memory behind them.
 const STAGING_BYTES: u64 = 32 << 20;
-const VERTEX_BYTES: u64 = size_of::<Vertex>() as u64;
+/// Bytes of a textured vertex, and of two plain ones.
+const GRAIN: u64 = 32;
+const _: () = assert!(size_of::<protocol::format::TexturedVertex>() as u64 == GRAIN);
 
 /// Where a blob lies.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -27,8 +31,24 @@ pub(crate) struct Place {
     pub(crate) base_vertex: i32,
     /// First 16-bit index in the buffer.
     pub(crate) first_index: u32,
-    /// Number of indices.
-    pub(crate) indices: u32,
+    /// Triangles by class, in which order they lie.
+    pub(crate) classes: [u32; Class::COUNT],
+    /// Its vertices are textured.
+    pub(crate) textured: bool,
+}
+
+impl Place {
+    /// The indices of a class in the buffer.
+    pub(crate) fn indices_of(&self, class: Class) -> Range<u32> {
+        let triangles = |classes: &[u32]| classes.iter().sum::<u32>();
+        let start = self.first_index + 3 * triangles(&self.classes[..class as usize]);
+        start..start + 3 * self.classes[class as usize]
+    }
+
+    /// Any of its triangles blends.
+    pub(crate) fn blends(&self) -> bool {
+        Class::ALL.iter().any(|class| class.is_blend() && !self.indices_of(*class).is_empty())
+    }
 }
 
 struct Chunk {
@@ -59,26 +79,34 @@ impl GeometryMemory {
     pub(crate) fn upload(
         &mut self,
         device: &Device,
-        blob: BlobId,
-        vertices: u32,
-        triangles: u32,
+        id: BlobId,
+        blob: &Blob,
         bytes: &[u8],
     ) -> Result<(), BackendError> {
-        let index_start = u64::from(vertices) * VERTEX_BYTES;
+        let Blob { vertices, triangles, classes, .. } = *blob;
+        let vertex_bytes = blob.vertex_layout().vertex_bytes() as u64;
+        let index_start = u64::from(vertices) * vertex_bytes;
         let needed = (index_start + u64::from(triangles) * 6).next_multiple_of(4);
-        if bytes.len() as u64 != needed || triangles > u32::MAX / 3 {
+        let sum: u64 = classes.iter().map(|&count| u64::from(count)).sum();
+        if bytes.len() as u64 != needed
+            || triangles > u32::MAX / 3
+            || Layout::of(blob.layout).is_none()
+            || sum != u64::from(triangles)
+        {
             return Err(device.unsupported(format!(
-                "blob {blob}: {} bytes for {vertices} vertices and {triangles} triangles",
+                "blob {id}: {} bytes for {vertices} vertices and {triangles} triangles of classes \
+                 {classes:?}",
                 bytes.len()
             )));
         }
-        self.evict(blob);
+        self.evict(id);
+        let textured = blob.is_textured();
         if bytes.is_empty() {
-            let place = Place { chunk: 0, base_vertex: 0, first_index: 0, indices: 0 };
-            self.blobs.insert(blob, Resident { place, offset: 0, length: 0 });
+            let place = Place { chunk: 0, base_vertex: 0, first_index: 0, classes, textured };
+            self.blobs.insert(id, Resident { place, offset: 0, length: 0 });
             return Ok(());
         }
-        let length = needed.next_multiple_of(VERTEX_BYTES);
+        let length = needed.next_multiple_of(GRAIN);
         let (chunk, offset) = self.take(device, length)?;
         device.queue.write_buffer(self.buffer(chunk), offset, bytes);
         self.staged += needed;
@@ -89,11 +117,12 @@ impl GeometryMemory {
         // Buffers hold 4 GiB at most, so both numbers fit.
         let place = Place {
             chunk,
-            base_vertex: (offset / VERTEX_BYTES) as i32,
+            base_vertex: (offset / vertex_bytes) as i32,
             first_index: ((offset + index_start) / 2) as u32,
-            indices: triangles * 3,
+            classes,
+            textured,
         };
-        self.blobs.insert(blob, Resident { place, offset, length });
+        self.blobs.insert(id, Resident { place, offset, length });
         Ok(())
     }
 
@@ -129,7 +158,7 @@ impl GeometryMemory {
             }
         }
         // 16-bit index offsets are counted in 32 bits.
-        let limit = device.limits.max_buffer_size.min(1 << 32) / VERTEX_BYTES * VERTEX_BYTES;
+        let limit = device.limits.max_buffer_size.min(1 << 32) / GRAIN * GRAIN;
         if length > limit {
             return Err(
                 device.unsupported(format!("a mesh of {length} bytes; a buffer holds {limit}"))

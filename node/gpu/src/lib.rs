@@ -9,12 +9,15 @@ mod device;
 mod draws;
 mod fault;
 mod geometry_memory;
+mod mesh_pipelines;
 mod pipelines;
 mod queries;
 mod ranges;
 mod readback;
+mod recorder;
 mod stream_buffer;
 mod targets;
+mod textures;
 
 pub use backend::WgpuBackend;
 pub use device::{Adapter, AdapterReport, adapters};

@@ -4,7 +4,7 @@ use crate::awaited::Awaited;
 use crate::backend::Context;
 use crate::device::Device;
 use crate::readback::Readback;
-use crate::targets::Target;
+use crate::targets::{Target, read_depth};
 use scene::backend::{BackendError, BoxQuery};
 use shaders::BOX_VERTICES;
 use shaders::mirror::BoxInstance;
@@ -146,11 +146,7 @@ fn box_pass<'a>(
 ) -> wgpu::RenderPass<'a> {
     encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
         label: Some("boxes"),
-        depth_stencil_attachment: Some(wgpu::RenderPassDepthStencilAttachment {
-            view: &depth.view,
-            depth_ops: None,
-            stencil_ops: None,
-        }),
+        depth_stencil_attachment: Some(read_depth(depth)),
         occlusion_query_set: queries,
         ..Default::default()
     })

@@ -27,6 +27,7 @@ pub(crate) struct Targets {
     depth: OnceCell<Target>,
     color: OnceCell<Target>,
     items: OnceCell<Target>,
+    blended: OnceCell<Target>,
 }
 
 impl Targets {
@@ -49,6 +50,7 @@ impl Targets {
             depth: OnceCell::new(),
             color: OnceCell::new(),
             items: OnceCell::new(),
+            blended: OnceCell::new(),
         })
     }
 
@@ -65,6 +67,11 @@ impl Targets {
     /// Item ids.
     pub(crate) fn items(&self, device: &Device) -> &Target {
         self.lazy(&self.items, device, ITEMS_FORMAT)
+    }
+
+    /// Item ids of what blends.
+    pub(crate) fn blended(&self, device: &Device) -> &Target {
+        self.lazy(&self.blended, device, ITEMS_FORMAT)
     }
 
     fn lazy<'a>(
@@ -110,6 +117,15 @@ pub(crate) fn cleared_depth(target: &Target) -> wgpu::RenderPassDepthStencilAtta
             load: wgpu::LoadOp::Clear(0.0),
             store: wgpu::StoreOp::Store,
         }),
+        stencil_ops: None,
+    }
+}
+
+/// Depth that is only read.
+pub(crate) fn read_depth(target: &Target) -> wgpu::RenderPassDepthStencilAttachment<'_> {
+    wgpu::RenderPassDepthStencilAttachment {
+        view: &target.view,
+        depth_ops: None,
         stencil_ops: None,
     }
 }

@@ -2,7 +2,7 @@
 
 use crate::backend::Draw;
 use crate::front::FrontEntry;
-use protocol::format::{Part, Skeleton};
+use protocol::format::{Hlod, Part, Skeleton};
 use protocol::id::{BlobId, HlodId};
 
 /// The draws of `entries` for an eye, one a part, ordered by (blob, hlod, part), so that instances of a
@@ -17,7 +17,8 @@ pub fn draw_list(skeleton: &Skeleton, entries: &[FrontEntry], eye: [f64; 3]) -> 
     let draws_of = |entry: &FrontEntry| {
         let parts = skeleton.parts_of(&skeleton.levels[entry.level as usize]);
         let hlod = entry.hlod;
-        parts.iter().map(move |part| draw_of(skeleton, hlod, part, eye))
+        let distance = distance(skeleton.hlod(hlod), eye);
+        parts.iter().map(move |part| Draw { distance, ..draw_of(skeleton, hlod, part, eye) })
     };
     let mut draws: Vec<Draw> = entries
         .iter()
@@ -41,7 +42,14 @@ fn draw_of(skeleton: &Skeleton, item: HlodId, part: &Part, eye: [f64; 3]) -> Dra
         item,
         linear: placement.linear.map(|column| column.map(|c| (c * mesh.step) as f32)),
         offset: std::array::from_fn(|k| (origin[k] - eye[k]) as f32),
+        distance: 0.0,
     }
+}
+
+/// From the eye to the middle of an hlod's box.
+fn distance(hlod: &Hlod, eye: [f64; 3]) -> f32 {
+    let from_eye = |k: usize| 0.5 * (hlod.min[k] + hlod.max[k]) - eye[k];
+    (0..3).map(|k| from_eye(k) * from_eye(k)).sum::<f64>().sqrt() as f32
 }
 
 #[cfg(test)]
@@ -106,11 +114,16 @@ mod tests {
         scene.skeleton.blobs[0].origin[1] = 1e300;
         scene.skeleton.blobs[1].step = f64::INFINITY;
         let entries: Vec<_> =
-            (0..count as u32).map(|level| FrontEntry { hlod: HlodId(level), level }).collect();
+            (0..count as u32).map(|level| FrontEntry { hlod: HlodId(0), level }).collect();
         let parts = &scene.skeleton.parts;
         let finite = parts.iter().filter(|part| part.blob > 1).count();
         assert!(finite < parts.len() && parts.len() > count, "{finite}");
         let draws = draw_list(&scene.skeleton, &entries, [0.0; 3]);
         assert_eq!(draws.len(), finite);
+        // The root's box, seen from three and four away.
+        scene.skeleton.hlods[0].min = [2.0, -1.0, 3.0];
+        scene.skeleton.hlods[0].max = [4.0, 1.0, 5.0];
+        assert_eq!(distance(&scene.skeleton.hlods[0], [0.0; 3]), 5.0);
+        assert_eq!(distance(&scene.skeleton.hlods[0], [3.0, 0.0, 4.0]), 0.0);
     }
 }

@@ -244,11 +244,12 @@ mod tests {
         visible.extend(asked.iter().zip(&answers).filter(|(_, answer)| **answer).map(|(e, _)| *e));
 
         let all = draws(&entries);
-        let Completion::Items { items, .. } =
+        let Completion::Items { mut items, blended, .. } =
             run(&mut backend, Pass::Items { view, draws: all.clone() })
         else {
             panic!("no items");
         };
+        items.extend(blended);
         let owners: BTreeSet<u32> = items.into_iter().filter(|&item| item != NO_ITEM).collect();
         let kept: BTreeSet<u32> = visible.iter().map(|entry| entry.hlod.0).collect();
         sum.lost += owners.difference(&kept).count();

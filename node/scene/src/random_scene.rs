@@ -1,4 +1,5 @@
-//! Seeded scenes for tests: a complete tree over small meshes of the kinds that are hard to cull.
+//! Seeded scenes for tests: a complete tree over small meshes of the kinds that are hard to cull,
+//! of all classes, some textured.
 
 use crate::backend::Backend;
 use crate::backend::cpu::CpuBackend;
@@ -7,8 +8,12 @@ use bytemuck::Zeroable;
 use geometry::bounds::Aabb;
 use glam::DVec3;
 use protocol::camera::Camera;
+use protocol::format::mesh::vertices_of;
+use protocol::format::texture::mips;
+use protocol::format::vertex::Layout;
 use protocol::format::{
-    Blob, Class, Hlod, Level, NONE, Part, SceneInfo, Skeleton, Transform, Vertex,
+    Blob, Class, Hlod, Level, NONE, Part, SceneInfo, Skeleton, Texture, TexturedVertex, Transform,
+    Vertex, Wrap,
 };
 use protocol::id::BlobId;
 use protocol::settings::PictureSize;
@@ -23,6 +28,7 @@ const GRID: u32 = 1 << 12;
 pub(crate) struct RandomScene {
     pub(crate) skeleton: Skeleton,
     blob_bytes: Vec<Vec<u8>>,
+    textures: Vec<(Texture, Vec<u8>)>,
     pub(crate) rng: StdRng,
     pub(crate) scale: f64,
 }
@@ -41,8 +47,9 @@ impl RandomScene {
             transforms: vec![],
             textures: vec![],
         };
-        let rng = StdRng::seed_from_u64(seed);
-        let mut scene = Self { skeleton, blob_bytes: vec![], rng, scale };
+        let mut rng = StdRng::seed_from_u64(seed);
+        let textures = [8, 32].map(|side| texture(&mut rng, side)).into();
+        let mut scene = Self { skeleton, blob_bytes: vec![], textures, rng, scale };
         let inner = (FANOUT.pow(depth) - 1) / (FANOUT - 1);
         let count = inner + FANOUT.pow(depth);
         scene.skeleton.hlods = (0..count)
@@ -63,8 +70,10 @@ impl RandomScene {
     /// A backend that holds all meshes.
     pub(crate) fn backend(&self, size: PictureSize, rules: &Rules) -> CpuBackend {
         let mut backend = CpuBackend::with_rules(size, rules);
+        let textures: Vec<_> = self.textures.iter().map(|(t, bytes)| (*t, &bytes[..])).collect();
+        backend.upload_textures(&textures).unwrap();
         for (id, (blob, bytes)) in self.skeleton.blobs.iter().zip(&self.blob_bytes).enumerate() {
-            backend.upload(BlobId(id as u32), blob.vertices, blob.triangles, bytes).unwrap();
+            backend.upload(BlobId(id as u32), blob, bytes).unwrap();
         }
         backend
     }
@@ -168,12 +177,27 @@ impl RandomScene {
     fn bounds_of(&self, part: &Part) -> Aabb {
         let blob = &self.skeleton.blobs[part.blob as usize];
         let placement = self.skeleton.transform_of(part);
-        let vertices = &self.blob_bytes[part.blob as usize][..blob.vertices as usize * 16];
-        Aabb::of(vertices.as_chunks::<16>().0.iter().map(|bytes| {
-            let grid = bytemuck::pod_read_unaligned::<Vertex>(bytes).grid();
+        Aabb::of(vertices_of(blob, &self.blob_bytes[part.blob as usize]).map(|vertex| {
+            let grid = vertex.grid();
             let p = std::array::from_fn(|k| blob.origin[k] + f64::from(grid[k]) * blob.step);
             placement.apply(p).into()
         }))
+    }
+
+    /// What triangles are made of: most meshes are opaque, some textured, some of all classes at once.
+    fn surfaces(&mut self, triangles: u32) -> (Layout, [u32; Class::COUNT]) {
+        let layout = if self.rng.random_bool(0.3) { Layout::Textured } else { Layout::Plain };
+        let mut classes = Class::OpaqueDouble.all(triangles);
+        if self.rng.random_bool(0.4) {
+            classes = [0; Class::COUNT];
+            for _ in 0..triangles {
+                let class = Class::ALL[self.rng.random_range(0..Class::COUNT)];
+                let plain_mask = class.is_mask() && layout == Layout::Plain;
+                let class = if plain_mask { Class::BlendDouble } else { class };
+                classes[class as usize] += 1;
+            }
+        }
+        (layout, classes)
     }
 
     /// A block, whose faces lie in those of its box; a plate, whose box is flat; loose triangles; or
@@ -202,27 +226,46 @@ impl RandomScene {
                 indices = (0..3 * count).collect();
             }
         }
+        let (vertices, triangles) = (grid.len() as u32, indices.len() as u32 / 3);
+        let (layout, classes) = self.surfaces(triangles);
         let mut bytes = Vec::new();
         for &p in &grid {
             let position = Vertex::pack_position(p);
             let color = self.rng.random();
-            let vertex = Vertex { position, normal: Vertex::pack_normal([0.0, 0.6, 0.8]), color };
-            bytes.extend_from_slice(bytemuck::bytes_of(&vertex));
+            let plain = Vertex { position, normal: Vertex::pack_normal([0.0, 0.6, 0.8]), color };
+            bytes.extend_from_slice(bytemuck::bytes_of(&plain));
+            if layout == Layout::Textured {
+                let texturing = TexturedVertex {
+                    plain,
+                    tex_coord: std::array::from_fn(|_| self.rng.random_range(-3.0..3.0)),
+                    texture: [NONE, 0, 1][self.rng.random_range(0..3)],
+                    cutoff: 0.4,
+                };
+                bytes.extend_from_slice(&bytemuck::bytes_of(&texturing)[size_of::<Vertex>()..]);
+            }
         }
-        let (vertices, triangles) = (grid.len() as u32, indices.len() as u32 / 3);
         bytes.extend(indices.drain(..).flat_map(u16::to_le_bytes));
-        let classes = Class::OpaqueDouble.all(triangles);
         self.skeleton.blobs.push(Blob {
             origin,
             step,
             vertices,
             triangles,
+            layout: layout as u32,
             classes,
             ..Blob::zeroed()
         });
         self.blob_bytes.push(bytes);
         self.skeleton.blobs.len() as u32 - 1
     }
+}
+
+/// Noise, with holes.
+fn texture(rng: &mut StdRng, side: u32) -> (Texture, Vec<u8>) {
+    let rgba: Vec<u8> = (0..4 * side * side).map(|_| rng.random()).collect();
+    let bytes = mips(side, &rgba);
+    let wrap = Wrap::pack([Wrap::Repeat, Wrap::Mirror]);
+    let length = bytes.len() as u64;
+    (Texture { offset: 0, bytes: length, side, wrap, crc: 0, reserved: 0 }, bytes)
 }
 
 /// A step at which a mesh at the least corner of `bounds` stays within it where it has any extent.

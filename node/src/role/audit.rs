@@ -63,9 +63,10 @@ fn differing_pixels(a: &Picture, b: &Picture) -> u64 {
 fn count_items(stage: &mut Stage<'_>, camera: &Camera, drawn: &Drawn) -> Result<u32, RoleError> {
     let view = stage.view(camera);
     let pass = Pass::Items { view, draws: drawn.draws.clone() };
-    let Completion::Items { mut items, .. } = stage.complete(pass)? else {
+    let Completion::Items { mut items, blended, .. } = stage.complete(pass)? else {
         unreachable!("items answer as such")
     };
+    items.extend(blended);
     items.retain(|&item| item != NO_ITEM);
     items.sort_unstable();
     items.dedup();

@@ -7,6 +7,7 @@ use protocol::settings::{BackendChoice, Cull, PictureSize, Schedule};
 use protocol::telemetry::CullCounts;
 use protocol::visible::VisibleSet;
 use scene::backend::cpu::CpuBackend;
+use std::path::Path;
 use std::sync::atomic::AtomicU64;
 
 const SIZE: PictureSize = PictureSize { width: 97, height: 61 };
@@ -40,8 +41,13 @@ struct Seen {
 fn play(pieces: &[Piece], cameras: &[Camera], cull: Cull, rules: Rules) -> Vec<Seen> {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("scene.occ");
-    write(&path, pieces);
-    let store = Store::open(&path).unwrap();
+    write(&path, pieces, false);
+    play_file(&path, cameras, cull, rules)
+}
+
+/// Plays `cameras` through a scene file.
+fn play_file(path: &Path, cameras: &[Camera], cull: Cull, rules: Rules) -> Vec<Seen> {
+    let store = Store::open(path).unwrap();
     let settings = settings(cull);
     let backend = Box::new(CpuBackend::with_rules(SIZE, &rules));
     let residency = Residency::new(store.skeleton().blobs.len(), Arc::new(AtomicU64::default()));
@@ -148,10 +154,45 @@ fn the_audit_sees_greater_for_greater_equal() {
 }
 
 #[test]
+fn holes_and_glass_lose_no_pixel_either() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("scene.occ");
+    write(&path, &street(), true);
+    let on = play_file(&path, &walk(), Cull::Queries, Rules::default());
+    let off = play_file(&path, &walk(), Cull::Off, Rules::default());
+    let plain = play(&street(), &walk(), Cull::Off, Rules::default());
+    for ((on, off), plain) in on.iter().zip(&off).zip(&plain) {
+        assert_eq!((on.differing, on.hash), (0, off.hash));
+        assert!(on.drawn >= on.with_pixels);
+        assert_eq!(off.hash == plain.hash, off.drawn == 0);
+    }
+    assert!(on.iter().zip(&off).any(|(on, off)| on.drawn < off.drawn));
+}
+
+#[test]
+fn textures_are_read_once_and_counted() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("scene.occ");
+    write(&path, &street(), true);
+    let store = Store::open(&path).unwrap();
+    let settings = settings(Cull::Off);
+    let bytes = Arc::new(AtomicU64::default());
+    let backend = Box::new(CpuBackend::new(SIZE));
+    let mut stage = Stage::new(&store, backend, Residency::new(1, Arc::clone(&bytes)), &settings);
+    for _ in 0..2 {
+        let front = stage.front(&walk()[0]);
+        stage.draws(&walk()[0], &front.entries).unwrap();
+        let all = store.skeleton().blobs[0].bytes + store.skeleton().textures[0].bytes;
+        assert_eq!(bytes.load(std::sync::atomic::Ordering::Relaxed), all);
+    }
+    assert_eq!(stage.take_io().misses, 1);
+}
+
+#[test]
 fn geometry_is_read_once() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("scene.occ");
-    write(&path, &street());
+    write(&path, &street(), false);
     let store = Store::open(&path).unwrap();
     let settings = settings(Cull::Off);
     let bytes = Arc::new(AtomicU64::default());

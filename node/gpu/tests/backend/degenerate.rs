@@ -1,7 +1,8 @@
 //! Nothing to draw, nothing to test, odd and impossible sizes, bytes that are no blob.
 
-use crate::support::{Mesh, backend, draw, items, occluders, shade, view, visible};
+use crate::support::{Mesh, backend, draw, items, occluders, plain_blob, shade, view, visible};
 use gpu::{Adapter, WgpuBackend};
+use protocol::format::Blob;
 use protocol::id::BlobId;
 use protocol::settings::{Cull, PictureSize};
 use scene::backend::{Backend, BackendError, BoxQuery, NO_ITEM};
@@ -32,7 +33,7 @@ fn nothing_gives_sky_and_no_answers() {
 fn a_blob_of_nothing_draws_nothing() {
     let Some(mut backend) = backend(8, 8) else { return };
     let square = Mesh::square([0.0, 0.0, 1.0], u32::MAX);
-    backend.upload(BlobId(0), 0, 0, &[]).unwrap();
+    backend.upload(BlobId(0), &plain_blob(0, 0), &[]).unwrap();
     Mesh { vertices: square.vertices, indices: vec![] }.upload(&mut backend, 1);
     let draws = [0, 1].map(|blob| draw(blob, blob, [1.0; 3], [-0.5, -0.5, -1.0]));
     assert_eq!(items(&mut backend, view(8, 8), &draws), [NO_ITEM; 64]);
@@ -80,10 +81,16 @@ fn impossible_sizes_are_refused() {
 fn bytes_that_are_no_blob_are_refused() {
     let Some(mut backend) = backend(4, 4) else { return };
     let bytes = Mesh::cube(0).bytes();
-    let mut upload = |vertices, triangles, bytes: &[u8]| {
-        let result = backend.upload(BlobId(0), vertices, triangles, bytes);
+    let mut refused = |blob: Blob, bytes: &[u8]| {
+        let result = backend.upload(BlobId(0), &blob, bytes);
         matches!(result, Err(BackendError::Unsupported { .. }))
     };
+    let classes = [u32::MAX; 6];
+    assert!(refused(Blob { classes, ..plain_blob(8, 12) }, &bytes));
+    assert!(refused(Blob { layout: 1, ..plain_blob(8, 12) }, &bytes));
+    assert!(refused(Blob { layout: 2, ..plain_blob(8, 12) }, &bytes));
+    let mut upload =
+        |vertices, triangles, bytes: &[u8]| refused(plain_blob(vertices, triangles), bytes);
     assert!(upload(8, 12, &bytes[..bytes.len() - 1]));
     assert!(upload(8, 13, &bytes));
     assert!(upload(u32::MAX, u32::MAX, &bytes));

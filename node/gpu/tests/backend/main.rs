@@ -4,6 +4,7 @@
 mod against_cpu;
 mod boxes;
 mod degenerate;
+mod materials;
 mod memory;
 mod pictures;
 mod support;

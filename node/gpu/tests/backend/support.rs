@@ -1,7 +1,7 @@
 //! A camera, a few meshes, and a way to run one pass.
 
 use gpu::{Adapter, WgpuBackend};
-use protocol::format::vertex::Vertex;
+use protocol::format::{Blob, Class, Vertex};
 use protocol::id::{BlobId, HlodId};
 use protocol::settings::{Cull, PictureSize};
 use rand::Rng;
@@ -26,8 +26,9 @@ impl Mesh {
     }
 
     pub(crate) fn upload(&self, backend: &mut impl Backend, blob: u32) {
-        let (vertices, triangles) = (self.vertices.len() as u32, self.indices.len() as u32 / 3);
-        backend.upload(BlobId(blob), vertices, triangles, &self.bytes()).expect("a sound blob");
+        let triangles = self.indices.len() as u32 / 3;
+        let record = plain_blob(self.vertices.len() as u32, triangles);
+        backend.upload(BlobId(blob), &record, &self.bytes()).expect("a sound blob");
     }
 
     /// Corners at 0 and 1; outward faces, one normal for all.
@@ -74,7 +75,12 @@ impl Mesh {
     }
 }
 
-fn vertex(grid: [u32; 3], normal: [f32; 3], color: u32) -> Vertex {
+/// The record of a plain, opaque, double-sided mesh.
+pub(crate) fn plain_blob(vertices: u32, triangles: u32) -> Blob {
+    Blob { vertices, triangles, classes: Class::OpaqueDouble.all(triangles), ..Blob::default() }
+}
+
+pub(crate) fn vertex(grid: [u32; 3], normal: [f32; 3], color: u32) -> Vertex {
     let (position, normal) = (Vertex::pack_position(grid), Vertex::pack_normal(normal));
     Vertex { position, normal, color }
 }
@@ -111,7 +117,8 @@ pub(crate) fn view(width: u32, height: u32) -> View {
 
 pub(crate) fn draw(blob: u32, item: u32, scale: [f32; 3], offset: [f32; 3]) -> Draw {
     let linear = [[scale[0], 0.0, 0.0], [0.0, scale[1], 0.0], [0.0, 0.0, scale[2]]];
-    Draw { blob: BlobId(blob), item: HlodId(item), linear, offset }
+    let distance = offset.map(|c| c * c).iter().sum::<f32>().sqrt();
+    Draw { blob: BlobId(blob), item: HlodId(item), linear, offset, distance }
 }
 
 /// A box in front of the camera on a grid of 1/64, so that its corners as a scaled cube are exact.

@@ -6,6 +6,7 @@
 pub mod cpu;
 pub mod light;
 
+use protocol::format::{Blob, Texture, Wrap, texture};
 use protocol::id::{BlobId, HlodId};
 use protocol::settings::{Cull, PictureSize};
 use protocol::telemetry::BackendInfo;
@@ -31,6 +32,48 @@ pub struct Draw {
     pub linear: [[f32; 3]; 3],
     /// Grid origin relative to the eye.
     pub offset: [f32; 3],
+    /// Distance from the eye to the middle of its hlod's box: what blends is drawn far to near.
+    pub distance: f32,
+}
+
+impl Draw {
+    /// It turns counter-clockwise corners clockwise.
+    pub fn is_mirrored(&self) -> bool {
+        let [x, y, z] = self.linear.map(|column| column.map(f64::from));
+        let cross =
+            [y[1] * z[2] - y[2] * z[1], y[2] * z[0] - y[0] * z[2], y[0] * z[1] - y[1] * z[0]];
+        x[0] * cross[0] + x[1] * cross[1] + x[2] * cross[2] < 0.0
+    }
+}
+
+/// Indices of the draws that `blends` picks by index, far to near; at one distance in the order given.
+///
+/// Of a list with draws left out it is the same order with those left out.
+pub fn far_to_near(draws: &[Draw], blends: impl Fn(usize) -> bool) -> Vec<usize> {
+    let mut order: Vec<usize> = (0..draws.len()).filter(|&index| blends(index)).collect();
+    order.sort_by(|&a, &b| draws[b].distance.total_cmp(&draws[a].distance));
+    order
+}
+
+/// A texture's record and its mips as they lie in the file.
+pub type TextureUpload<'a> = (Texture, &'a [u8]);
+
+/// Most pixels along a side of what a backend stores; larger mips are left out.
+pub const LARGEST_STORED_SIDE: u32 = 1024;
+
+/// Side, wrap modes and mips of a texture as a backend stores it. The bytes may come from anywhere.
+pub fn stored_mips<'a>(
+    record: &Texture,
+    bytes: &'a [u8],
+) -> Result<(u32, [Wrap; 2], &'a [u8]), BackendError> {
+    let damaged = || BackendError::Device(format!("a texture of side {} is damaged", record.side));
+    let wrap = Wrap::unpack(record.wrap).ok_or_else(damaged)?;
+    if !texture::is_side(record.side) || bytes.len() as u64 != texture::mip_bytes(record.side) {
+        return Err(damaged());
+    }
+    let side = record.side.min(LARGEST_STORED_SIDE);
+    let left_out = bytes.len() - texture::mip_bytes(side) as usize;
+    Ok((side, wrap, &bytes[left_out..]))
 }
 
 /// An eye-relative box, already grown; it neither holds the eye nor crosses the near plane.
@@ -42,10 +85,13 @@ pub struct BoxQuery {
     pub max: [f32; 3],
 }
 
-/// Work for a backend. Draws are rendered in the order given.
+/// Work for a backend.
+///
+/// Draws are rendered class by class in the order given, but what blends in that of [`far_to_near`].
+/// Single-sided triangles are drawn from their front alone, in every pass.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Pass {
-    /// Clear the occlusion depth and render these into it. It stays with the backend.
+    /// Clear the occlusion depth and render what is opaque of these into it. It stays with the backend.
     Occluders {
         /// The camera.
         view: View,
@@ -61,7 +107,7 @@ pub enum Pass {
         /// `Queries` or `Boxes`; a backend without such a choice uses the one way it has.
         method: Cull,
     },
-    /// Draw a picture with its own colour and depth and read it back.
+    /// Draw a picture with its own colour and depth and read it back. What blends leaves no depth.
     Shade {
         /// The camera.
         view: View,
@@ -125,8 +171,10 @@ pub enum Completion {
     Items {
         /// The pass.
         ticket: Ticket,
-        /// Ids.
+        /// The nearest that does not blend.
         items: Vec<u32>,
+        /// The last drawn of those that blend and lie before it: what blends hides nothing.
+        blended: Vec<u32>,
     },
 }
 
@@ -154,14 +202,13 @@ pub trait Backend {
     /// What this is, for the log.
     fn info(&self) -> BackendInfo;
 
-    /// Takes a blob's bytes: [`protocol::format::vertex`] vertices, then 16-bit indices.
-    fn upload(
-        &mut self,
-        blob: BlobId,
-        vertices: u32,
-        triangles: u32,
-        bytes: &[u8],
-    ) -> Result<(), BackendError>;
+    /// Takes all textures of the scene, by their index, in place of any before. They come before the
+    /// first textured blob.
+    fn upload_textures(&mut self, textures: &[TextureUpload<'_>]) -> Result<(), BackendError>;
+
+    /// Takes a blob's bytes: [`protocol::format::vertex`] vertices, then 16-bit indices. Of `blob` it
+    /// reads counts, layout and classes.
+    fn upload(&mut self, id: BlobId, blob: &Blob, bytes: &[u8]) -> Result<(), BackendError>;
 
     /// Forgets a blob.
     fn evict(&mut self, blob: BlobId);
@@ -172,4 +219,47 @@ pub trait Backend {
     /// Appends what has come of submitted passes, in order, waiting until there is at least one
     /// completion if any pass is under way.
     fn poll(&mut self, completions: &mut Vec<Completion>) -> Result<(), BackendError>;
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn draw(item: u32, distance: f32) -> Draw {
+        let linear = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+        Draw { blob: BlobId(0), item: HlodId(item), linear, offset: [0.0; 3], distance }
+    }
+
+    #[test]
+    fn what_blends_is_drawn_far_to_near() {
+        assert!(far_to_near(&[], |_| true).is_empty());
+        let draws: Vec<Draw> =
+            (0..).zip([1.0, 3.0, 2.0, 3.0, 0.0]).map(|(i, d)| draw(i, d)).collect();
+        assert_eq!(far_to_near(&draws, |_| true), [1, 3, 2, 0, 4]);
+        assert_eq!(far_to_near(&draws, |index| index != 1), [3, 2, 0, 4]);
+    }
+
+    #[test]
+    fn an_odd_number_of_mirrors_mirrors() {
+        let mut draw = draw(0, 0.0);
+        for mirrored in [true, false, true] {
+            let k = draw.linear.iter().position(|column| column.iter().all(|&c| c >= 0.0)).unwrap();
+            draw.linear[k] = draw.linear[k].map(|c| -c * 1e-20);
+            assert_eq!(draw.is_mirrored(), mirrored);
+        }
+    }
+
+    #[test]
+    fn textures_beyond_the_largest_side_lose_their_largest_mips() {
+        let record = |side, bytes| Texture { offset: 0, bytes, side, wrap: 0, crc: 0, reserved: 0 };
+        let bytes = vec![7; texture::mip_bytes(2048) as usize];
+        let (side, _, mips) = stored_mips(&record(2048, 0), &bytes).unwrap();
+        assert_eq!((side, mips.len() as u64), (1024, texture::mip_bytes(1024)));
+        let one = stored_mips(&record(1, 0), &[1, 2, 3, 4]).unwrap();
+        assert_eq!(one, (1, [Wrap::Repeat; 2], &[1, 2, 3, 4][..]));
+        for side in [0, 2, 3, u32::MAX] {
+            assert!(stored_mips(&record(side, 4), &[1, 2, 3, 4]).is_err(), "{side}");
+        }
+        assert!(stored_mips(&Texture { wrap: 3, ..record(1, 4) }, &[1, 2, 3, 4]).is_err());
+    }
 }

@@ -1,7 +1,7 @@
 //! Box queries against a finished depth buffer.
 
 use super::project::Projection;
-use super::raster::SUBPIXELS;
+use super::raster::{SUBPIXELS, Turns};
 use super::target::{Depth, TileMinima};
 use crate::backend::BoxQuery;
 use std::ops::ControlFlow;
@@ -61,6 +61,7 @@ pub(super) fn is_visible(
         projection
             .triangle(
                 face.map(|corner| placed[corner]),
+                Turns::Either,
                 |k| corners[face[k]],
                 |span| {
                     if depth.any_passes(&span, tiles) {
@@ -96,6 +97,7 @@ mod tests {
             let placed = face.map(|i| projection.place(corners[i]));
             let _ = projection.triangle(
                 placed,
+                Turns::Either,
                 |k| corners[face[k]],
                 |span| {
                     depth.write(&span);

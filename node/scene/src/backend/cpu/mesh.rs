@@ -1,35 +1,53 @@
 //! A mesh as uploaded: bytes checked once, so that drawing need not.
 
 use crate::backend::BackendError;
-use protocol::format::Vertex;
+use protocol::format::{Blob, Class, TexturedVertex, Vertex};
 use protocol::id::BlobId;
+use std::ops::Range;
+
+/// What a vertex adds to a plain one.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Texturing {
+    pub(super) tex_coord: [f32; 2],
+    pub(super) texture: u32,
+    pub(super) cutoff: f32,
+}
 
 /// Vertices and triangles of a blob.
 pub(super) struct Mesh {
     /// At most [`protocol::format::vertex::MAX_BLOB_VERTICES`].
     pub(super) vertices: Box<[Vertex]>,
+    /// As many as vertices; none of a plain mesh.
+    pub(super) texturing: Box<[Texturing]>,
     /// Each below the number of vertices.
     pub(super) triangles: Box<[[u16; 3]]>,
+    /// Where the triangles of each class lie.
+    classes: [Range<usize>; Class::COUNT],
 }
 
 impl Mesh {
     /// Reads a blob ([`protocol::format::vertex`]); its bytes may come from anywhere.
-    pub(super) fn read(
-        blob: BlobId,
-        vertices: u32,
-        triangles: u32,
-        bytes: &[u8],
-    ) -> Result<Self, BackendError> {
-        let damaged = |what: &str| BackendError::Device(format!("mesh {blob} is damaged: {what}"));
-        let vertex_bytes = vertices as usize * size_of::<Vertex>();
-        let index_bytes = triangles as usize * size_of::<[u16; 3]>();
+    pub(super) fn read(id: BlobId, blob: &Blob, bytes: &[u8]) -> Result<Self, BackendError> {
+        let damaged = |what: &str| BackendError::Device(format!("mesh {id} is damaged: {what}"));
         let too_short = || damaged("it is shorter than its counts say");
-        let (vertex_bytes, rest) = bytes.split_at_checked(vertex_bytes).ok_or_else(too_short)?;
+        let (vertex_bytes, rest) =
+            bytes.split_at_checked(blob.vertex_bytes()).ok_or_else(too_short)?;
+        let index_bytes = blob.triangles as usize * size_of::<[u16; 3]>();
         let index_bytes = rest.get(..index_bytes).ok_or_else(too_short)?;
         // `bytes` may lie at any address, so values are copied out one by one.
-        let (vertex_chunks, _) = vertex_bytes.as_chunks::<{ size_of::<Vertex>() }>();
-        let vertices: Box<[Vertex]> =
-            vertex_chunks.iter().map(|chunk| bytemuck::pod_read_unaligned(chunk)).collect();
+        let (mut vertices, mut texturing) = (Vec::new(), Vec::new());
+        if blob.is_textured() {
+            let (chunks, _) = vertex_bytes.as_chunks::<{ size_of::<TexturedVertex>() }>();
+            for chunk in chunks {
+                let vertex: TexturedVertex = bytemuck::pod_read_unaligned(chunk);
+                let TexturedVertex { plain, tex_coord, texture, cutoff } = vertex;
+                vertices.push(plain);
+                texturing.push(Texturing { tex_coord, texture, cutoff });
+            }
+        } else {
+            let (chunks, _) = vertex_bytes.as_chunks::<{ size_of::<Vertex>() }>();
+            vertices.extend(chunks.iter().map(|c| bytemuck::pod_read_unaligned::<Vertex>(c)));
+        }
         let (index_chunks, _) = index_bytes.as_chunks::<{ size_of::<[u16; 3]>() }>();
         let triangles: Box<[[u16; 3]]> = index_chunks
             .iter()
@@ -38,7 +56,25 @@ impl Mesh {
         if triangles.as_flattened().iter().any(|&index| usize::from(index) >= vertices.len()) {
             return Err(damaged("a triangle names a vertex it does not have"));
         }
-        Ok(Self { vertices, triangles })
+        let sum: u64 = blob.classes.iter().map(|&count| u64::from(count)).sum();
+        if sum != u64::from(blob.triangles) {
+            return Err(damaged("its classes do not add up to its triangles"));
+        }
+        let classes = Class::ALL.map(|class| {
+            let range = blob.triangles_of(class);
+            range.start as usize..range.end as usize
+        });
+        Ok(Self { vertices: vertices.into(), texturing: texturing.into(), triangles, classes })
+    }
+
+    /// Its triangles of one class.
+    pub(super) fn triangles_of(&self, class: Class) -> Range<usize> {
+        self.classes[class as usize].clone()
+    }
+
+    /// Any of its triangles blends.
+    pub(super) fn blends(&self) -> bool {
+        Class::ALL.iter().any(|class| class.is_blend() && !self.triangles_of(*class).is_empty())
     }
 }
 
@@ -46,24 +82,46 @@ impl Mesh {
 mod tests {
     use super::*;
 
-    const BLOB: BlobId = BlobId(3);
+    const ID: BlobId = BlobId(3);
+
+    fn blob(vertices: u32, triangles: u32) -> Blob {
+        let classes = Class::OpaqueDouble.all(triangles);
+        Blob { vertices, triangles, classes, ..Blob::default() }
+    }
 
     #[test]
     fn nothing_is_a_mesh() {
-        let mesh = Mesh::read(BLOB, 0, 0, &[]).unwrap();
-        assert!(mesh.vertices.is_empty() && mesh.triangles.is_empty());
+        let mesh = Mesh::read(ID, &blob(0, 0), &[]).unwrap();
+        assert!(mesh.vertices.is_empty() && mesh.triangles.is_empty() && !mesh.blends());
     }
 
     #[test]
     fn lying_counts_and_indices_are_errors() {
         let mut bytes = vec![0u8; 3 * 16 + 6];
         bytes[48..].copy_from_slice(bytemuck::cast_slice(&[0u16, 1, 2]));
-        assert_eq!(Mesh::read(BLOB, 3, 1, &bytes).unwrap().triangles[..], [[0, 1, 2]]);
+        assert_eq!(Mesh::read(ID, &blob(3, 1), &bytes).unwrap().triangles[..], [[0, 1, 2]]);
         for (vertices, triangles) in [(4, 1), (3, 2), (u32::MAX, 1), (3, u32::MAX), (0, 1)] {
-            let read = Mesh::read(BLOB, vertices, triangles, &bytes);
+            let read = Mesh::read(ID, &blob(vertices, triangles), &bytes);
             assert!(read.is_err(), "{vertices} {triangles}");
         }
+        let textured = Blob { layout: 1, ..blob(3, 1) };
+        assert!(Mesh::read(ID, &textured, &bytes).is_err());
+        let classes = [u32::MAX; 6];
+        assert!(Mesh::read(ID, &Blob { classes, ..blob(3, 1) }, &bytes).is_err());
         bytes[52] = 3;
-        assert!(Mesh::read(BLOB, 3, 1, &bytes).is_err());
+        assert!(Mesh::read(ID, &blob(3, 1), &bytes).is_err());
+    }
+
+    #[test]
+    fn triangles_are_found_by_class() {
+        let mut bytes = vec![0u8; 3 * 32];
+        bytes[16..20].copy_from_slice(&2.5f32.to_le_bytes());
+        bytes[24..28].copy_from_slice(&7u32.to_le_bytes());
+        bytes.extend_from_slice(bytemuck::cast_slice(&[0u16; 9]));
+        let made = Blob { layout: 1, classes: [1, 0, 0, 1, 1, 0], ..blob(3, 3) };
+        let mesh = Mesh::read(ID, &made, &bytes).unwrap();
+        assert_eq!(mesh.triangles_of(Class::MaskDouble), 1..2);
+        assert!(mesh.blends() && mesh.triangles_of(Class::BlendDouble).is_empty());
+        assert_eq!((mesh.texturing[0].tex_coord, mesh.texturing[0].texture), ([2.5, 0.0], 7));
     }
 }

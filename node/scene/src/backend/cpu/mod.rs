@@ -5,28 +5,28 @@
 
 mod boxes;
 mod mesh;
+mod paint;
 mod project;
 mod raster;
 mod shade;
 mod target;
+mod texture;
 
 use super::{
-    Backend, BackendError, BoxQuery, Completion, Draw, NO_ITEM, Pass, Picture, Ticket, View, light,
+    Backend, BackendError, BoxQuery, Completion, Draw, Pass, Picture, TextureUpload, Ticket, View,
 };
 use crate::occludee::Rules;
 use mesh::Mesh;
-use project::{Placed, Projection, apply};
+use paint::Painter;
+use project::Projection;
+use protocol::format::Blob;
 use protocol::id::BlobId;
 use protocol::settings::PictureSize;
 use protocol::telemetry::BackendInfo;
-use raster::Span;
-use shade::{Placement, SrgbEncoder, Surface};
+use shade::SrgbEncoder;
 use std::collections::{HashMap, VecDeque};
-use std::ops::ControlFlow;
-use target::{Depth, TileMinima, pixel_count};
-
-/// Stands where no triangle owns a pixel.
-const NO_OWNER: u64 = u64::MAX;
+use target::{Depth, TileMinima};
+use texture::Textures;
 
 /// The embedded renderer.
 pub struct CpuBackend {
@@ -35,8 +35,7 @@ pub struct CpuBackend {
     meshes: HashMap<BlobId, Mesh>,
     /// The occlusion depth, once there is one.
     occlusion: Option<(Depth, TileMinima)>,
-    /// Vertices of the mesh being drawn.
-    placed: Vec<Placed>,
+    textures: Textures,
     srgb: SrgbEncoder,
     next_ticket: u64,
     done: VecDeque<Completion>,
@@ -55,7 +54,7 @@ impl CpuBackend {
             inclusive: rules.depth_test_inclusive,
             meshes: HashMap::new(),
             occlusion: None,
-            placed: Vec::new(),
+            textures: Textures::new(),
             srgb: SrgbEncoder::new(),
             next_ticket: 0,
             done: VecDeque::new(),
@@ -67,46 +66,9 @@ impl CpuBackend {
         Projection::new(view)
     }
 
-    /// The mesh of a draw.
-    fn mesh(&self, blob: BlobId) -> &Mesh {
-        self.meshes.get(&blob).unwrap_or_else(|| panic!("mesh {blob} is drawn but not uploaded"))
-    }
-
-    /// Hands every span of `draws` to `span`, with the indices of draw and triangle.
-    fn rasterise(
-        &mut self,
-        projection: &Projection,
-        draws: &[Draw],
-        mut span: impl FnMut(usize, usize, Span),
-    ) {
-        let mut placed = std::mem::take(&mut self.placed);
-        for (index, draw) in draws.iter().enumerate() {
-            let mesh = self.mesh(draw.blob);
-            let rows = projection.clip_from_grid(draw);
-            let clip = |vertex: usize| apply(&rows, mesh.vertices[vertex].grid().map(f64::from));
-            placed.clear();
-            placed.extend((0..mesh.vertices.len()).map(|vertex| projection.place(clip(vertex))));
-            for (number, triangle) in mesh.triangles.iter().enumerate() {
-                let corners = triangle.map(usize::from);
-                let _ = projection.triangle(
-                    corners.map(|vertex| placed[vertex]),
-                    |k| clip(corners[k]),
-                    |part| {
-                        span(index, number, part);
-                        ControlFlow::Continue(())
-                    },
-                );
-            }
-        }
-        self.placed = placed;
-    }
-
-    fn draw_occluders(&mut self, view: &View, draws: &[Draw]) {
+    fn painter<'a>(&'a self, view: &View, draws: &'a [Draw]) -> Painter<'a> {
         let projection = self.projection(view);
-        let mut depth = Depth::new(self.size, self.inclusive);
-        self.rasterise(&projection, draws, |_, _, span| depth.write(&span));
-        let tiles = depth.tile_minima();
-        self.occlusion = Some((depth, tiles));
+        Painter::new(projection, draws, &self.meshes, &self.textures, self.inclusive)
     }
 
     fn query(&self, view: &View, boxes: &[BoxQuery]) -> Vec<bool> {
@@ -117,56 +79,10 @@ impl CpuBackend {
         boxes.iter().map(|query| boxes::is_visible(&projection, query, depth, tiles)).collect()
     }
 
-    /// Depth, and for each pixel `draw << 32 | triangle` of its owner.
-    fn draw_owners(&mut self, projection: &Projection, draws: &[Draw]) -> (Depth, Vec<u64>) {
-        let mut depth = Depth::new(self.size, self.inclusive);
-        let mut owners = vec![NO_OWNER; pixel_count(self.size)];
-        self.rasterise(projection, draws, |draw, triangle, span| {
-            depth.write_owned(&span, (draw as u64) << 32 | triangle as u64, &mut owners);
-        });
-        (depth, owners)
-    }
-
-    fn shade(&mut self, view: &View, draws: &[Draw], with_depth: bool) -> Picture {
-        let projection = self.projection(view);
-        let (depth, owners) = self.draw_owners(&projection, draws);
-        let eye_from_clip = projection.eye_from_clip();
-        let placements: Vec<Placement> =
-            draws.iter().map(|draw| Placement::new(&projection, draw)).collect();
-        let sky = self.srgb.encode_rgba(light::SKY);
-        let mut rgba = Vec::with_capacity(owners.len() * 4);
-        let mut latest: Option<(u64, Surface)> = None;
-        for (row, y) in owners.chunks_exact(self.size.width as usize).zip(0..) {
-            for (&owner, x) in row.iter().zip(0..) {
-                if owner == NO_OWNER {
-                    rgba.extend_from_slice(&sky);
-                    continue;
-                }
-                let surface = match latest.take() {
-                    Some((same, surface)) if same == owner => surface,
-                    _ => {
-                        let index = (owner >> 32) as usize;
-                        Surface::new(&placements[index], self.mesh(draws[index].blob), owner as u32)
-                    }
-                };
-                let center = projection.pixel_center(x, y);
-                let [ndc_x, ndc_y] = center;
-                let ray = eye_from_clip.map(|[a, b, c]| a * ndc_x + b * ndc_y + c);
-                rgba.extend_from_slice(&self.srgb.encode_rgba(surface.color(center, ray)));
-                latest = Some((owner, surface));
-            }
-        }
+    fn shade(&self, view: &View, draws: &[Draw], with_depth: bool) -> Picture {
+        let (colors, depth) = self.painter(view, draws).picture();
+        let rgba = colors.into_iter().flat_map(|linear| self.srgb.encode_rgba(linear)).collect();
         Picture { rgba, depth: with_depth.then(|| depth.into_pixels()) }
-    }
-
-    fn items(&mut self, view: &View, draws: &[Draw]) -> Vec<u32> {
-        let projection = self.projection(view);
-        let (_, owners) = self.draw_owners(&projection, draws);
-        let item = |owner: u64| match owner {
-            NO_OWNER => NO_ITEM,
-            owner => draws[(owner >> 32) as usize].item.0,
-        };
-        owners.into_iter().map(item).collect()
     }
 }
 
@@ -175,14 +91,12 @@ impl Backend for CpuBackend {
         BackendInfo { name: "cpu".into(), driver: "embedded z-buffer rasteriser".into() }
     }
 
-    fn upload(
-        &mut self,
-        blob: BlobId,
-        vertices: u32,
-        triangles: u32,
-        bytes: &[u8],
-    ) -> Result<(), BackendError> {
-        self.meshes.insert(blob, Mesh::read(blob, vertices, triangles, bytes)?);
+    fn upload_textures(&mut self, textures: &[TextureUpload<'_>]) -> Result<(), BackendError> {
+        self.textures.set(textures)
+    }
+
+    fn upload(&mut self, id: BlobId, blob: &Blob, bytes: &[u8]) -> Result<(), BackendError> {
+        self.meshes.insert(id, Mesh::read(id, blob, bytes)?);
         Ok(())
     }
 
@@ -195,7 +109,9 @@ impl Backend for CpuBackend {
         self.next_ticket += 1;
         let completion = match pass {
             Pass::Occluders { view, draws } => {
-                self.draw_occluders(&view, &draws);
+                let depth = self.painter(&view, &draws).occluders();
+                let tiles = depth.tile_minima();
+                self.occlusion = Some((depth, tiles));
                 Completion::Occluders { ticket }
             }
             Pass::QueryBoxes { view, boxes, method: _ } => {
@@ -207,7 +123,8 @@ impl Backend for CpuBackend {
                 Completion::Picture { ticket, picture }
             }
             Pass::Items { view, draws } => {
-                Completion::Items { ticket, items: self.items(&view, &draws) }
+                let (items, blended) = self.painter(&view, &draws).items();
+                Completion::Items { ticket, items, blended }
             }
         };
         self.done.push_back(completion);

@@ -1,6 +1,6 @@
 //! From eye-relative coordinates to the screen, clipping what the rasteriser's grid cannot hold.
 
-use super::raster::{GRID_MAX, SUBPIXELS, ScreenVertex, Span, triangle};
+use super::raster::{GRID_MAX, SUBPIXELS, ScreenVertex, Span, Turns, triangle};
 use crate::backend::{Draw, View};
 use protocol::settings::PictureSize;
 use std::ops::ControlFlow;
@@ -120,6 +120,7 @@ impl Projection {
     pub(super) fn triangle(
         &self,
         corners: [Placed; 3],
+        drawn: Turns,
         clip: impl Fn(usize) -> Clip,
         mut draw: impl FnMut(Span) -> ControlFlow<()>,
     ) -> ControlFlow<()> {
@@ -128,13 +129,13 @@ impl Projection {
             return ControlFlow::Continue(());
         }
         if (a.code | b.code | c.code) & UNPLACED == 0 {
-            return triangle(self.size, corners.map(|corner| corner.screen), draw);
+            return triangle(self.size, corners.map(|corner| corner.screen), drawn, draw);
         }
         let polygon = self.clip_polygon([clip(0), clip(1), clip(2)]);
         let screen: Vec<ScreenVertex> =
             polygon.into_iter().map(|corner| self.place(corner).screen).collect();
         for i in 2..screen.len() {
-            triangle(self.size, [screen[0], screen[i - 1], screen[i]], &mut draw)?;
+            triangle(self.size, [screen[0], screen[i - 1], screen[i]], drawn, &mut draw)?;
         }
         ControlFlow::Continue(())
     }
@@ -220,6 +221,7 @@ mod tests {
         let mut seen = Vec::new();
         let _ = projection.triangle(
             clip.map(|c| projection.place(c)),
+            Turns::Either,
             |k| clip[k],
             |span| {
                 for i in 0..span.len {
@@ -273,6 +275,7 @@ mod tests {
             item: protocol::id::HlodId(0),
             linear: [[2.0, 0.0, 0.0], [0.0, 3.0, 1.0], [0.0, 0.0, 4.0]],
             offset: [10.0, 20.0, 30.0],
+            distance: 0.0,
         };
         let projection = projection();
         let direct = projection.clip([12.0, 23.0, 35.0]);

@@ -1,7 +1,7 @@
 //! Which pixels a triangle covers, and at what depth.
 //!
 //! Vertices lie on a grid of 1/256 pixel; edge functions are exact in i64; the top-left rule gives a
-//! pixel centre on a shared edge to exactly one triangle (Pineda 1988). Both faces are drawn.
+//! pixel centre on a shared edge to exactly one triangle (Pineda 1988).
 
 use protocol::settings::PictureSize;
 use std::ops::ControlFlow;
@@ -20,6 +20,14 @@ pub(super) struct ScreenVertex {
     pub(super) y: i32,
     /// Depth, near distance / view depth.
     pub(super) z: f64,
+}
+
+/// Which triangles are drawn, by how their corners turn on the screen.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Turns {
+    Either,
+    CounterClockwise,
+    Clockwise,
 }
 
 /// Adjacent pixels of one row.
@@ -91,6 +99,7 @@ impl Edge {
 pub(super) fn triangle(
     size: PictureSize,
     [a, mut b, mut c]: [ScreenVertex; 3],
+    drawn: Turns,
     mut draw: impl FnMut(Span) -> ControlFlow<()>,
 ) -> ControlFlow<()> {
     // Smallest and largest pixel whose centre lies in the bounds.
@@ -108,7 +117,13 @@ pub(super) fn triangle(
     let side = |p: ScreenVertex| [i64::from(p.x) - i64::from(a.x), i64::from(p.y) - i64::from(a.y)];
     let ([bx, by], [cx, cy]) = (side(b), side(c));
     let mut area = bx * cy - by * cx;
-    if area == 0 {
+    // Rows count downwards: what turns counter-clockwise to the eye has a negative area.
+    let left_out = match drawn {
+        Turns::Either => false,
+        Turns::CounterClockwise => area > 0,
+        Turns::Clockwise => area < 0,
+    };
+    if area == 0 || left_out {
         return ControlFlow::Continue(());
     }
     let (zb, zc) = (b.z - a.z, c.z - a.z);
@@ -159,7 +174,7 @@ mod tests {
     fn coverage(size: PictureSize, triangles: &[[ScreenVertex; 3]]) -> Vec<(u32, f64)> {
         let mut pixels = vec![(0, 0.0); (size.width * size.height) as usize];
         for &corners in triangles {
-            let _ = triangle(size, corners, |span| {
+            let _ = triangle(size, corners, Turns::Either, |span| {
                 assert!(span.len > 0);
                 for i in 0..span.len {
                     let pixel = &mut pixels[(span.y * size.width + span.x + i) as usize];
@@ -228,6 +243,28 @@ mod tests {
             }
         }
         assert!(covered > 10_000);
+    }
+
+    #[test]
+    fn a_turn_is_drawn_or_not() {
+        let size = PictureSize { width: 4, height: 4 };
+        // Up is towards smaller rows: right, then up, then back is counter-clockwise.
+        let [a, b, c] = [vertex(0, 1024, 0.5), vertex(1024, 1024, 0.5), vertex(1024, 0, 0.5)];
+        let pixels = |corners, drawn| {
+            let mut count = 0;
+            let _ = triangle(size, corners, drawn, |span| {
+                count += span.len;
+                ControlFlow::Continue(())
+            });
+            count
+        };
+        let counts = |corners| {
+            [Turns::Either, Turns::CounterClockwise, Turns::Clockwise].map(|t| pixels(corners, t))
+        };
+        let [either, left, right] = counts([a, b, c]);
+        assert!(either > 0 && (left, right) == (either, 0), "{either} {left} {right}");
+        assert_eq!(counts([c, b, a]), [either, 0, either]);
+        assert_eq!(counts([a, b, b]), [0, 0, 0]);
     }
 
     #[test]

@@ -3,8 +3,9 @@
 //! Attributes are interpolated with perspective from barycentric coordinates of the pixel's ray in clip
 //! space (Olano and Greer 1997), so no clipped triangle needs attributes of its own.
 
-use super::mesh::Mesh;
+use super::mesh::{Mesh, Texturing};
 use super::project::{Projection, Rows, apply, cross, dot};
+use super::texture::{Footprint, Textures};
 use crate::backend::{Draw, light};
 use protocol::format::Vertex;
 
@@ -71,12 +72,25 @@ pub(super) struct Surface {
     /// in proportion to the barycentric coordinates.
     edges: [[f64; 3]; 3],
     normals: [[f32; 3]; 3],
-    colors: [[f32; 3]; 3],
+    /// With alpha.
+    colors: [[f32; 4]; 3],
+    /// Of textured meshes.
+    texturing: Option<[Texturing; 3]>,
+}
+
+/// A pixel as surfaces see it.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Pixel {
+    /// Normalised device coordinates of its centre.
+    pub(super) center: [f64; 2],
+    /// Columns and rows of its block of two by two, left and upper first, in the same coordinates.
+    pub(super) block: [[f64; 2]; 2],
 }
 
 impl Surface {
-    pub(super) fn new(placement: &Placement, mesh: &Mesh, triangle: u32) -> Self {
-        let corners = mesh.triangles[triangle as usize].map(|i| mesh.vertices[usize::from(i)]);
+    pub(super) fn new(placement: &Placement, mesh: &Mesh, triangle: usize) -> Self {
+        let indices = mesh.triangles[triangle].map(usize::from);
+        let corners = indices.map(|i| mesh.vertices[i]);
         let [a, b, c] =
             corners.map(|vertex| apply(&placement.clip_from_grid, vertex.grid().map(f64::from)));
         let [x, y, z] = placement.normal_from_mesh;
@@ -85,31 +99,67 @@ impl Surface {
             let turned = std::array::from_fn(|k| x[k] * n[0] + y[k] * n[1] + z[k] * n[2]);
             unit(turned).map(|c| c as f32)
         };
+        let texturing = || indices.map(|i| mesh.texturing[i]);
         Self {
             edges: [cross(b, c), cross(c, a), cross(a, b)],
             normals: corners.map(normal),
-            colors: corners.map(|vertex| {
-                let [r, g, b, _] = vertex.color.to_le_bytes();
-                [r, g, b].map(|c| f32::from(c) / 255.0)
-            }),
+            colors: corners.map(|vertex| vertex.color.to_le_bytes().map(|c| f32::from(c) / 255.0)),
+            texturing: (!mesh.texturing.is_empty()).then(texturing),
         }
     }
 
-    /// Linear colour at normalised device coordinates, seen along `ray` (eye-relative, any length).
-    pub(super) fn color(&self, [x, y]: [f64; 2], ray: [f64; 3]) -> [f32; 3] {
-        let weights = barycentric(self.edges.map(|edge| dot(edge, [x, y, 1.0])));
-        let blend = |of: &[[f32; 3]; 3]| -> [f32; 3] {
+    fn products(&self, [x, y]: [f64; 2]) -> [f64; 3] {
+        self.edges.map(|edge| dot(edge, [x, y, 1.0]))
+    }
+
+    /// Linear colour and alpha before any light.
+    fn base(&self, textures: &Textures, pixel: Pixel) -> [f32; 4] {
+        let color = blend(&self.colors, barycentric(self.products(pixel.center)));
+        let Some(corners) = &self.texturing else { return color };
+        // Off the triangle too: its plane goes on, where the nearest corner would shorten the step.
+        let tex_coord = |center: [f64; 2]| -> [f64; 2] {
+            let products = self.products(center);
+            let sum: f64 = products.iter().sum();
             std::array::from_fn(|k| {
-                of[0][k] * weights[0] + of[1][k] * weights[1] + of[2][k] * weights[2]
+                (0..3).map(|i| products[i] / sum * f64::from(corners[i].tex_coord[k])).sum()
             })
         };
-        let mut normal = unit(blend(&self.normals).map(f64::from));
+        let ([x, y], [columns, rows]) = (pixel.center, pixel.block);
+        // Both pixels of a pair have the step between them, as they have with graphics drivers.
+        let step = |from: [f64; 2], to: [f64; 2]| {
+            let (from, to) = (tex_coord(from), tex_coord(to));
+            std::array::from_fn(|k| (to[k] - from[k]) as f32)
+        };
+        let footprint = Footprint {
+            at: tex_coord(pixel.center).map(|c| c as f32),
+            across: step([columns[0], y], [columns[1], y]),
+            down: step([x, rows[0]], [x, rows[1]]),
+        };
+        let texture = textures.sample(corners[0].texture, &footprint);
+        std::array::from_fn(|k| color[k] * texture[k])
+    }
+
+    /// Whether a masked triangle is there.
+    pub(super) fn is_there(&self, textures: &Textures, pixel: Pixel) -> bool {
+        let cutoff = self.texturing.as_ref().map_or(0.0, |corners| corners[0].cutoff);
+        self.base(textures, pixel)[3] >= cutoff
+    }
+
+    /// Linear colour, lit, and alpha, seen along `ray` (eye-relative, any length).
+    pub(super) fn color(&self, textures: &Textures, pixel: Pixel, ray: [f64; 3]) -> [f32; 4] {
+        let weights = barycentric(self.products(pixel.center));
+        let mut normal = unit(blend(&self.normals, weights).map(f64::from));
         if dot(normal, ray) > 0.0 {
             normal = normal.map(|c| -c);
         }
         let light = light::intensity(normal.map(|c| c as f32));
-        blend(&self.colors).map(|c| c * light)
+        let [r, g, b, alpha] = self.base(textures, pixel);
+        [r * light, g * light, b * light, alpha]
     }
+}
+
+fn blend<const N: usize>(of: &[[f32; N]; 3], weights: [f32; 3]) -> [f32; N] {
+    std::array::from_fn(|k| of[0][k] * weights[0] + of[1][k] * weights[1] + of[2][k] * weights[2])
 }
 
 /// Shares of the corners; a snapped pixel may lie a little outside, where the nearest are taken.

@@ -54,6 +54,36 @@ impl Depth {
         }
     }
 
+    /// Calls `visit` with every pixel of the span that passes, its index and its column; all stay as
+    /// they are.
+    pub(super) fn visit_passing(&self, span: &Span, mut visit: impl FnMut(usize, u32)) {
+        let range = self.range(span);
+        for i in 0..span.len {
+            let at = range.start + i as usize;
+            if self.passes(depth_at(span, i), self.pixels[at]) {
+                visit(at, span.x + i);
+            }
+        }
+    }
+
+    /// As [`Depth::write_owned`], but only in those columns where `is_there` says so.
+    pub(super) fn write_owned_where(
+        &mut self,
+        span: &Span,
+        owner: u64,
+        owners: &mut [u64],
+        mut is_there: impl FnMut(u32) -> bool,
+    ) {
+        let range = self.range(span);
+        for i in 0..span.len {
+            let (z, at) = (depth_at(span, i), range.start + i as usize);
+            if self.passes(z, self.pixels[at]) && is_there(span.x + i) {
+                self.pixels[at] = z;
+                owners[at] = owner;
+            }
+        }
+    }
+
     /// The least depth of every tile.
     pub(super) fn tile_minima(&self) -> TileMinima {
         let across = self.size.width.div_ceil(TILE) as usize;

@@ -1,5 +1,6 @@
+use super::super::{NO_ITEM, light};
 use super::*;
-use protocol::format::Vertex;
+use protocol::format::{Class, Vertex};
 use protocol::id::HlodId;
 use protocol::settings::Cull;
 
@@ -43,13 +44,16 @@ fn filling(blob: u32, item: u32, cells: u32, z: f32, size: PictureSize) -> Draw 
         item: HlodId(item),
         linear: [[x / cells as f32, 0.0, 0.0], [0.0, y / cells as f32, 0.0], [0.0, 0.0, 1.0]],
         offset: [-x / 2.0, -y / 2.0, z],
+        distance: z,
     }
 }
 
 fn backend_with(size: PictureSize, sheets: &[(u32, u32, Vec<u8>)]) -> CpuBackend {
     let mut backend = CpuBackend::new(size);
     for (id, (vertices, triangles, bytes)) in sheets.iter().enumerate() {
-        backend.upload(BlobId(id as u32), *vertices, *triangles, bytes).unwrap();
+        let classes = Class::OpaqueDouble.all(*triangles);
+        let blob = Blob { vertices: *vertices, triangles: *triangles, classes, ..Blob::default() };
+        backend.upload(BlobId(id as u32), &blob, bytes).unwrap();
     }
     backend
 }

@@ -1,0 +1,71 @@
+//! Recording one render pass of mesh draws.
+
+use crate::device::Device;
+use crate::draws::{self, Call};
+use crate::geometry_memory::GeometryMemory;
+use crate::mesh_pipelines::{Key, MeshPipelines};
+use crate::pipelines::Pipelines;
+use crate::targets::Target;
+use crate::textures::Textures;
+
+/// What draw calls refer to.
+pub(crate) struct Recorder<'a> {
+    pub(crate) device: &'a Device,
+    pub(crate) pipelines: &'a Pipelines,
+    pub(crate) memory: &'a GeometryMemory,
+    pub(crate) meshes: &'a mut MeshPipelines,
+    pub(crate) textures: &'a mut Textures,
+    /// None where nothing is drawn.
+    pub(crate) instances: Option<&'a wgpu::Buffer>,
+}
+
+impl Recorder<'_> {
+    /// Draws the calls in their order into a colour target, cleared, and a depth.
+    pub(crate) fn pass(
+        &mut self,
+        encoder: &mut wgpu::CommandEncoder,
+        color: Option<(&Target, wgpu::Color)>,
+        depth: wgpu::RenderPassDepthStencilAttachment<'_>,
+        calls: &[(Key, Call<'_>)],
+    ) {
+        let pipelines = self.pipelines_of(calls);
+        let color = color.map(|(target, clear)| {
+            Some(wgpu::RenderPassColorAttachment {
+                view: &target.view,
+                depth_slice: None,
+                resolve_target: None,
+                ops: wgpu::Operations {
+                    load: wgpu::LoadOp::Clear(clear),
+                    store: wgpu::StoreOp::Store,
+                },
+            })
+        });
+        let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
+            label: Some("draws"),
+            color_attachments: color.as_slice(),
+            depth_stencil_attachment: Some(depth),
+            ..Default::default()
+        });
+        let Some(instances) = self.instances else { return };
+        pass.set_bind_group(0, &self.pipelines.frame_group, &[]);
+        if calls.iter().any(|(key, _)| key.binds_textures()) {
+            pass.set_bind_group(1, self.textures.group(self.device), &[]);
+        }
+        pass.set_vertex_buffer(1, instances.slice(..));
+        let calls = calls.iter().map(|(_, call)| call);
+        draws::record(&mut pass, self.memory, pipelines.iter().zip(calls));
+    }
+
+    /// The pipeline of each call; neighbours mostly share theirs.
+    fn pipelines_of(&mut self, calls: &[(Key, Call<'_>)]) -> Vec<wgpu::RenderPipeline> {
+        let groups = [&self.pipelines.frame_group_layout, self.textures.layout()];
+        let mut found: Vec<wgpu::RenderPipeline> = Vec::with_capacity(calls.len());
+        for (at, (key, _)) in calls.iter().enumerate() {
+            found.push(match found.last() {
+                Some(last) if calls[at - 1].0 == *key => last.clone(),
+                _ => self.meshes.get(&self.device.device, groups, *key),
+            });
+        }
+        found
+    }
+}
