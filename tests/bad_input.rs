@@ -101,7 +101,9 @@ fn a_bad_source_is_refused_by_name_and_leaves_nothing() {
         65,
         "nothing.glb",
     );
-    fail(&["bake", text(&good), "-o", "/no/such/folder/x.occ"], 74, "/no/such/folder/x.occ");
+    fail(&["bake", text(&good), "-o", "/no/such/folder/x.occ"], 74, "/no/such/folder");
+    assert!(!Path::new("/no").exists());
+    fail(&["bake", text(&good), "-o", text(folder.path())], 74, text(folder.path()));
 }
 
 #[test]
@@ -185,6 +187,17 @@ fn a_bad_command_line_or_configuration_says_what_would_be_right() {
         78,
         "procesess",
     );
+    let bake = |memory: &str, code, says: &str| {
+        let output = scene.file("x.occ");
+        let (source, output) = (text(&scene.occ), text(&output));
+        fail(&["bake", source, "-o", output, "--memory", memory], code, says);
+        assert!(!Path::new(output).exists());
+    };
+    bake("plenty", 2, "64MiB");
+    bake("5 MB", 2, "64MiB");
+    bake("99999999999TiB", 2, "bytes");
+    bake("1MiB", 78, "16MiB");
+    fail(&["bake", "-o", text(&scene.file("x.occ"))], 2, "INPUT");
 }
 
 #[test]

@@ -40,7 +40,7 @@ fn replay(
     change: impl FnOnce(&mut RunSettings),
 ) -> Result<RunRecord, RunError> {
     let scene = folder.join("scene.occ");
-    let digest = write(&scene, &street()).digest;
+    let digest = write(&scene, &street(), false).digest;
     let mut settings = RunSettings {
         scene_path: scene.to_str().unwrap().to_owned(),
         scene_digest: digest,

@@ -107,44 +107,6 @@ fn whatever_dies_first_nobody_stays_behind() {
     assert_gone(&run.nodes);
 }
 
-#[test]
-fn an_interrupted_bake_leaves_nothing() {
-    let scene = Scene::synth("pipes", 50_000);
-    let (glb, occ) = (scene.file("plant.glb"), scene.file("plant.occ"));
-    support::succeed(&["synth", "plant", "-o", text(&glb), "--triangles", "1000000"]);
-    let before = names(&glb);
-    for name in ["INT", "TERM"] {
-        let mut bake = occluster();
-        bake.args(["bake", text(&glb), "-o", text(&occ)])
-            .stdout(Stdio::null())
-            .stderr(Stdio::piped());
-        let mut bake = bake.spawn().unwrap();
-        let deadline = Instant::now() + Duration::from_secs(60);
-        while names(&glb) == before {
-            assert!(
-                Instant::now() < deadline && bake.try_wait().unwrap().is_none(),
-                "it never began to write"
-            );
-            std::thread::sleep(Duration::from_millis(10));
-        }
-        signal(bake.id(), name);
-        let output = bake.wait_with_output().unwrap();
-        let says = String::from_utf8(output.stderr).unwrap();
-        assert_eq!(output.status.code(), Some(1), "{says}");
-        assert!(says.contains("plant.occ"), "{says}");
-        assert_eq!(names(&glb), before);
-    }
-}
-
-/// Names beside `path`, sorted.
-fn names(path: &Path) -> Vec<String> {
-    let folder = std::fs::read_dir(path.parent().unwrap()).unwrap();
-    let mut names: Vec<String> =
-        folder.map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect();
-    names.sort();
-    names
-}
-
 /// No half-written file: every picture ends as a PNG does, nothing temporary is left.
 fn assert_whole(out: &Path) {
     for entry in std::fs::read_dir(out.join("frames")).unwrap() {

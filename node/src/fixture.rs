@@ -35,17 +35,9 @@ pub(crate) fn street() -> Vec<Piece> {
     pieces
 }
 
-/// Writes the scene of `pieces`; each is a leaf whose item id is its place plus 1.
-pub(crate) fn write(path: &Path, pieces: &[Piece]) -> Finished {
-    write_made_of(path, pieces, false)
-}
-
-/// The same with boxes that have an opaque half, and else a texture with holes or blend.
-pub(crate) fn write_textured(path: &Path, pieces: &[Piece]) -> Finished {
-    write_made_of(path, pieces, true)
-}
-
-fn write_made_of(path: &Path, pieces: &[Piece], textured: bool) -> Finished {
+/// Writes the scene of `pieces`; each is a leaf whose item id is its place plus 1. `textured` boxes are
+/// opaque by half, and else have holes or blend.
+pub(crate) fn write(path: &Path, pieces: &[Piece], textured: bool) -> Finished {
     let mut writer = SceneWriter::create(path).unwrap();
     let corner = |bits: u32| [bits & 1, bits >> 1 & 1, bits >> 2];
     let vertex = |bits| Vertex {

@@ -10,10 +10,11 @@ use crate::pack::{finest_step, pack, snap};
 use crate::pieces::PieceMesh;
 use crate::plan::{Member, Pieces, Plan};
 use crate::shared::{SharedLevel, SharedLevels};
-use crate::source::Surface;
+use crate::source;
 use crate::spool::Scene;
 use crate::work::{Records, WorkError};
 use geometry::bounds::Aabb;
+use geometry::hausdorff::{Goal, Surface, directed};
 use geometry::hierarchy::Tree;
 use geometry::mesh::{Mesh, largest_stretch};
 use glam::DVec3;
@@ -38,6 +39,11 @@ const INSTANCES_PAY: f64 = 1.5;
 const MOST_PARTS: usize = 64;
 /// An inner hlod that found no stand-in is built upon as it is up to so many triangles.
 const MOST_CARRIED: usize = 8 * MAX_MESH_TRIANGLES;
+/// How well the distance is known from what a coarser grid flattened to what is left: to this share
+/// above what it is at least,
+const FLAT_SLACK: f64 = 0.25;
+/// with so many cuts by triangle.
+const FLAT_CUTS: usize = 8;
 /// Why packing a coarser level cannot fail: triangles without an area were left out of it.
 const HAS_AREA: &str = "a coarser level has triangles with an area";
 
@@ -85,7 +91,7 @@ impl Builder<'_> {
         &self.plan.tree
     }
 
-    fn surfaces(&self) -> &[Surface] {
+    fn surfaces(&self) -> &[source::Surface] {
         &self.scene.surfaces
     }
 
@@ -166,14 +172,15 @@ impl Builder<'_> {
         let triangles = parts.iter().map(part_triangles).sum();
         built.levels.push(PendingLevel { error, triangles, parts });
         let step = fitting_step(&base, step);
-        let moved = snap(&mut base, step);
+        let moved = coarsen(&mut base, step);
         built.bounds = built.bounds.union(base.bounds());
         let form = Form {
             error: error + moved,
             triangles: base.triangles.len(),
             shape: Shape::Mesh(base),
         };
-        let mut top = Top { built, forms: vec![form], step, epsilon: 0.0, worst: error };
+        let forms = if moved.is_finite() { vec![form] } else { Vec::new() };
+        let mut top = Top { built, forms, step, epsilon: 0.0, worst: error };
         self.extend(&mut top, f64::INFINITY, 1);
         Ok(top)
     }
@@ -315,6 +322,8 @@ impl Builder<'_> {
     fn push(&self, top: &mut Top, level: CoarseMesh) {
         let CoarseMesh { mesh, error } = level;
         let packed = pack(&mesh, top.step, self.surfaces()).expect(HAS_AREA);
+        let points = packed.positions().map(DVec3::from_array);
+        top.built.bounds = top.built.bounds.union(Aabb::of(points));
         let part = PendingPart { geometry: Geometry::Packed(packed), transform: NONE };
         let triangles = part_triangles(&part);
         top.built.levels.push(PendingLevel { error, triangles, parts: vec![part] });
@@ -349,6 +358,9 @@ impl Builder<'_> {
             // Nothing above the root takes over from it.
             self.extend(&mut top, f64::INFINITY, usize::MAX);
         }
+        // Children may have grown by levels they were given here.
+        let below = children.iter().map(|child| child.built.bounds);
+        top.built.bounds = below.fold(top.built.bounds, Aabb::union);
         self.tally.inner_ns.fetch_add(start.elapsed().as_nanos() as u64, Ordering::Relaxed);
         Ok(top)
     }
@@ -414,7 +426,10 @@ impl Builder<'_> {
         }
         top.step = fitting_step(&merged, step);
         if top.step != step {
-            error += snap(&mut merged, top.step);
+            error += coarsen(&mut merged, top.step);
+            if !error.is_finite() {
+                return Ok(());
+            }
         }
         let target = target.min(merged.triangles.len() / 2);
         let mut chain = Chain::new(&merged, error, top.epsilon, self.setting(top.built.node));
@@ -434,6 +449,8 @@ impl Builder<'_> {
         if made.is_empty() {
             if merged.triangles.len() <= MOST_CARRIED {
                 let triangles = merged.triangles.len();
+                // Levels made from it later lie on its grid, not on the children's.
+                top.built.bounds = top.built.bounds.union(merged.bounds());
                 top.forms.push(Form { error, triangles, shape: Shape::Mesh(merged) });
             }
             return Ok(());
@@ -447,20 +464,14 @@ impl Builder<'_> {
             return Ok(());
         }
         for child in children.iter_mut().filter(|child| child.worst < made[0].error * GAP) {
-            self.extend(child, made[0].error, usize::MAX);
+            // A level after one that errs half as much would hardly stay below.
+            self.extend(child, made[0].error * 0.5, usize::MAX);
         }
         let floor = raise(&mut made, children);
         self.trim(children, floor);
         for level in made {
             self.push(top, level);
         }
-        let packed = top.built.levels.iter().flat_map(|level| &level.parts);
-        top.built.bounds = packed.fold(top.built.bounds, |sum, part| match &part.geometry {
-            Geometry::Packed(packed) => {
-                sum.union(Aabb::of(packed.positions().map(DVec3::from_array)))
-            }
-            Geometry::Written(_) => sum,
-        });
         Ok(())
     }
 }
@@ -478,6 +489,26 @@ fn fitting_step(mesh: &Mesh, step: f64) -> f64 {
     let farthest = bounds.min.abs().max(bounds.max.abs()).max_element();
     let finest = finest_step(bounds.extent().max_element(), farthest);
     if step.is_finite() { step.max(finest) } else { finest }
+}
+
+/// Moves a mesh to a coarser grid and takes out what has no area there. Returns how far the surface is
+/// from what it was, either way; infinite if nothing is left of it.
+fn coarsen(mesh: &mut Mesh, step: f64) -> f64 {
+    let moved = snap(mesh, step);
+    let has_area = |t: &[u32; 3]| {
+        let [a, b, c] = mesh.corners(*t);
+        a != b && b != c && c != a
+    };
+    let (kept, flat): (Vec<_>, Vec<_>) = mesh.triangles.iter().copied().partition(has_area);
+    if flat.is_empty() {
+        return moved;
+    }
+    let budget = FLAT_CUTS * (flat.len() + kept.len());
+    mesh.triangles = flat;
+    let gone = mesh.clone();
+    mesh.triangles = kept;
+    let goal = Goal { enough: step, slack: FLAT_SLACK, budget };
+    moved + directed(&gone, &Surface::new(mesh), &goal).upper
 }
 
 /// Makes errors monotone between an hlod and its children. A child without levels cannot be trimmed,

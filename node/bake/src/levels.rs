@@ -31,6 +31,8 @@ const MOST_ERROR: f64 = 0.25;
 const ENOUGH: f64 = 0.5;
 /// Nor any tighter than to this share above what it is at least.
 const SLACK: f64 = 0.5;
+/// Factor from what the simplifier thinks a texture slides to what counts.
+const SLIDING: f64 = 2.0;
 /// Cuts that a proof may take, by triangle of both meshes.
 const CUTS: usize = 8;
 /// A part that vanished is put back where the error would be so many times what the simplifier thinks it
@@ -75,6 +77,7 @@ pub(crate) struct Chain<'a> {
     /// How far `base` strays from the original.
     base_error: f64,
     base_surface: Surface,
+    is_textured: bool,
     diagonal: f64,
     /// Distance welded within; 0: only what is in the same place. A coarser level never needs less.
     epsilon: f64,
@@ -86,7 +89,8 @@ impl<'a> Chain<'a> {
     pub(crate) fn new(base: &'a Mesh, base_error: f64, epsilon: f64, setting: Setting<'a>) -> Self {
         let diagonal = base.bounds().diagonal();
         let base_surface = Surface::new(base);
-        Self { setting, base, base_error, base_surface, diagonal, epsilon }
+        let is_textured = base.vertices.iter().any(|vertex| vertex.tex_coord != [0.0; 2]);
+        Self { setting, base, base_error, base_surface, is_textured, diagonal, epsilon }
     }
 
     /// Distance that parts have been welded within so far.
@@ -110,7 +114,12 @@ impl<'a> Chain<'a> {
         if mesh.triangles.is_empty() || mesh.triangles.len() > most {
             return Err(End::Unpaying);
         }
-        let own = self.measured(&mut mesh, estimate);
+        let mut own = self.measured(&mut mesh, estimate);
+        if self.is_textured {
+            // A texture that slides is seen as well as a surface that strays, and only the simplifier
+            // knows by how much.
+            own = own.max(SLIDING * estimate);
+        }
         if mesh.triangles.len() > most {
             return Err(End::Unpaying);
         }

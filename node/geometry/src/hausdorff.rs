@@ -32,6 +32,8 @@ const MARGIN: f64 = 512.0 * f64::EPSILON;
 const DEEPEST: u8 = 60;
 /// Cuts of one triangle before others have their turn.
 const CUTS_AT_ONCE: usize = 24;
+/// Triangles that settled others lately, tried before any search.
+const RECENT: usize = 4;
 /// Triangles looked at first, to learn about how great the distance is.
 const FIRST_LOOKS: usize = 32;
 /// A triangle this share of the wanted distance away is as good as the nearest.
@@ -232,6 +234,8 @@ struct Prover<'a> {
     proven: f64,
     /// The triangle that settled the last piece.
     hint: u32,
+    /// Some that settled pieces before.
+    recent: [u32; RECENT],
     waiting: Vec<Piece>,
     open: Vec<Open>,
 }
@@ -255,6 +259,7 @@ impl<'a> Prover<'a> {
             strayed: false,
             proven: 0.0,
             hint: 0,
+            recent: [0; RECENT],
             waiting: Vec::new(),
             open: Vec::new(),
         }
@@ -322,6 +327,21 @@ impl<'a> Prover<'a> {
             self.proven = self.proven.max(greatest);
             return 0;
         }
+        let corners = triangle.map(|v| self.points[v as usize]);
+        for at in 0..RECENT {
+            let by = self.recent[at];
+            if by == self.hint {
+                continue;
+            }
+            if let Some(greatest) = self.covered(&corners, by, self.wanted * self.wanted) {
+                self.proven = self.proven.max(greatest);
+                self.recent[at] = self.hint;
+                self.hint = by;
+                return 0;
+            }
+        }
+        self.recent.rotate_right(1);
+        self.recent[0] = self.hint;
         for v in triangle {
             if self.near[v as usize] == u32::MAX {
                 let enough = self.wanted * NEAR_SHARE;

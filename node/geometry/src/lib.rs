@@ -5,7 +5,6 @@ pub mod bounds;
 pub mod cluster;
 pub mod codec;
 pub mod criteria;
-pub mod deviation;
 mod divide;
 pub mod frustum;
 pub mod hash;

@@ -9,11 +9,10 @@ use meshopt::{SimplifyOptions, VertexDataAdapter};
 /// Share of the mesh's size that its inner arithmetic in `f32` may lose.
 const ROUNDING: f64 = 1.0 / (1 << 22) as f64;
 /// Weights of attributes against a position in units of the mesh's size: a colour channel of 0..1, a
-/// normal's coordinate, a texture coordinate. Small: they choose among collapses that cost about the
-/// same, and keep creases and charts together.
+/// normal's coordinate. Small: they choose among collapses that cost about the same, and keep creases
+/// together. A texture coordinate weighs as much as the way on the surface that it stands for.
 const COLOR_WEIGHT: f32 = 0.1;
 const NORMAL_WEIGHT: f32 = 0.01;
-const TEXTURE_WEIGHT: f32 = 0.05;
 
 /// A simplified index list.
 #[derive(Debug, Clone, PartialEq)]
@@ -74,11 +73,12 @@ impl Input {
         let (center, scale) = (bounds.center(), bounds.diagonal().max(f64::MIN_POSITIVE));
         let unit = |p: DVec3| ((p - center) / scale).as_vec3().to_array();
         let positions = mesh.vertices.iter().flat_map(|vertex| unit(vertex.position));
-        let has_texture = mesh.vertices.iter().any(|vertex| vertex.tex_coord != [0.0; 2]);
+        let has_texture = mesh.has_texture();
         let has_gradients = has_gradients(mesh);
         let mut weights = vec![NORMAL_WEIGHT; 3];
         weights.extend([COLOR_WEIGHT; 3].iter().filter(|_| has_gradients));
-        weights.extend([TEXTURE_WEIGHT; 2].iter().filter(|_| has_texture));
+        let way = (mesh.way_per_texture() / scale) as f32;
+        weights.extend([way; 2].iter().filter(|_| has_texture));
         let mut attributes = Vec::with_capacity(mesh.vertices.len() * weights.len());
         for vertex in &mesh.vertices {
             attributes.extend(vertex.normal.to_array());

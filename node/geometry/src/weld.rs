@@ -132,6 +132,32 @@ fn repeat_key([a, b, c]: [u32; 3], one_sided: bool) -> [u32; 3] {
 }
 
 impl Welded {
+    /// Whether any wedge has texture coordinates.
+    pub fn has_texture(&self) -> bool {
+        self.vertices.iter().any(|vertex| vertex.tex_coord != [0.0; 2])
+    }
+
+    /// Way on the surface, mesh units, for a step of 1 in texture coordinates: the mean over the area
+    /// that has any; 0 if none has.
+    pub(crate) fn way_per_texture(&self) -> f64 {
+        let mut areas = (0.0f64, 0.0f64);
+        for triangle in &self.triangles {
+            let [a, b, c] = triangle.map(|vertex| &self.vertices[vertex as usize]);
+            let side = |from: &MeshVertex, to: &MeshVertex| {
+                let [u, v]: [f64; 2] =
+                    std::array::from_fn(|k| f64::from(to.tex_coord[k] - from.tex_coord[k]));
+                (to.position - from.position, u, v)
+            };
+            let ((ab, bu, bv), (ac, cu, cv)) = (side(a, b), side(a, c));
+            let on_texture = (bu * cv - bv * cu).abs();
+            if on_texture > 0.0 {
+                areas.0 += ab.cross(ac).length();
+                areas.1 += on_texture;
+            }
+        }
+        if areas.1 > 0.0 { (areas.0 / areas.1).sqrt() } else { 0.0 }
+    }
+
     /// Sorts the source normals by welded vertex, and takes their means.
     fn gather_normals(&mut self, mesh: &Mesh, vertex_of: &[u32]) {
         let mut start = vec![0u32; self.vertices.len() + 1];

@@ -2,7 +2,7 @@
 
 use super::audit::measure;
 use super::*;
-use crate::fixture::{Piece, street, write, write_textured};
+use crate::fixture::{Piece, street, write};
 use protocol::settings::{BackendChoice, Cull, PictureSize, Schedule};
 use protocol::telemetry::CullCounts;
 use protocol::visible::VisibleSet;
@@ -41,7 +41,7 @@ struct Seen {
 fn play(pieces: &[Piece], cameras: &[Camera], cull: Cull, rules: Rules) -> Vec<Seen> {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("scene.occ");
-    write(&path, pieces);
+    write(&path, pieces, false);
     play_file(&path, cameras, cull, rules)
 }
 
@@ -157,7 +157,7 @@ fn the_audit_sees_greater_for_greater_equal() {
 fn holes_and_glass_lose_no_pixel_either() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("scene.occ");
-    write_textured(&path, &street());
+    write(&path, &street(), true);
     let on = play_file(&path, &walk(), Cull::Queries, Rules::default());
     let off = play_file(&path, &walk(), Cull::Off, Rules::default());
     let plain = play(&street(), &walk(), Cull::Off, Rules::default());
@@ -173,7 +173,7 @@ fn holes_and_glass_lose_no_pixel_either() {
 fn textures_are_read_once_and_counted() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("scene.occ");
-    write_textured(&path, &street());
+    write(&path, &street(), true);
     let store = Store::open(&path).unwrap();
     let settings = settings(Cull::Off);
     let bytes = Arc::new(AtomicU64::default());
@@ -192,7 +192,7 @@ fn textures_are_read_once_and_counted() {
 fn geometry_is_read_once() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("scene.occ");
-    write(&path, &street());
+    write(&path, &street(), false);
     let store = Store::open(&path).unwrap();
     let settings = settings(Cull::Off);
     let bytes = Arc::new(AtomicU64::default());
