@@ -40,7 +40,7 @@ enum Verb {
     Demo(demo::Args),
     /// Write a generated scene as GLB
     Synth(synth::Args),
-    /// Turn a glTF or GLB file into a scene file
+    /// Turn glTF, OBJ, PLY or STL files into a scene file
     Bake(bake::Args),
     /// Say what is in a scene file
     Inspect(inspect::Args),
