@@ -16,7 +16,7 @@ use crate::shared::{self, MadeLevel, SharedLevels, SharedWriter};
 use crate::source::{Imported, Sink, Wrap};
 use crate::spool::{Scene, Spool};
 use crate::summary::{self, StageSeconds, Summary};
-use crate::work::{Records, Work, WorkError};
+use crate::work::{Key, Records, Work, WorkError};
 use geometry::criteria::Criteria;
 use protocol::format::{self, SceneInfo, WriteError};
 use rayon::prelude::*;
@@ -114,6 +114,7 @@ pub fn bake(
     let mut clock = Clock::start();
     let keys = Keys::of_files(inputs, options)?;
     if let Some(summary) = summary::of_unchanged(output, &keys.scene) {
+        Work::sweep(output);
         return Ok(summary);
     }
     let work = Work::open(output)?;
@@ -121,7 +122,8 @@ pub fn bake(
     let imported = imported(&work, inputs, options, &keys, progress);
     clock.seconds.import = clock.lap();
     let names: Vec<String> = inputs.iter().map(|input| input.display().to_string()).collect();
-    let job = Job { name: names.join(", "), output, options, keys, progress };
+    let stored_key = keys.scene;
+    let job = Job { name: names.join(", "), output, options, keys, stored_key, progress };
     let done = imported.and_then(|scene| job.run(&work, scene, clock));
     close(work, done)
 }
@@ -144,7 +146,7 @@ pub fn bake_scene(
     let scene = spool.finish(imported)?;
     clock.seconds.import = clock.lap();
     let keys = Keys::of_content(keys::unknown(), options);
-    let job = Job { name: name.to_owned(), output, options, keys, progress };
+    let job = Job { name: name.to_owned(), output, options, keys, stored_key: [0; 32], progress };
     let done = job.run(&work, scene, clock);
     close(work, done)
 }
@@ -229,7 +231,7 @@ fn join(whole: &mut Option<Imported>, mut part: Imported, meshes: usize, texture
 fn loaded<T>(
     work: &Work,
     stage: &str,
-    key: &crate::work::Key,
+    key: &Key,
     decode: impl Fn(&[u8]) -> Result<T, crate::bytes::Torn>,
 ) -> Option<T> {
     decode(&work.load(stage, key)?).ok()
@@ -263,6 +265,8 @@ struct Job<'a> {
     output: &'a Path,
     options: &'a Options,
     keys: Keys,
+    /// What the scene says it was made from; zero if nobody can say.
+    stored_key: Key,
     progress: &'a dyn Progress,
 }
 
@@ -473,7 +477,7 @@ impl Job<'_> {
             reserved: 0,
             seed: self.options.seed,
             reserved2: 0,
-            key: self.keys.scene,
+            key: self.stored_key,
             tree: stored(&plan.criteria),
             plain: stored(&plan.plain_criteria),
         }

@@ -67,7 +67,7 @@ pub struct Objects {
 pub struct Skipped {
     /// Chains of levels that ended because a coarser form would have saved too little.
     pub unpaying: u64,
-    /// Levels rejected because they erred by more than a quarter of their size.
+    /// Levels rejected because they erred by more than half of their size.
     pub wrong: u64,
     /// Levels dropped because one of their parent errs no more.
     pub needless: u64,

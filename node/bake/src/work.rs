@@ -89,6 +89,16 @@ impl Work {
         }
     }
 
+    /// Removes what a bake left that was killed once its scene was in place, unless another is at work.
+    pub(crate) fn sweep(output: &Path) {
+        if working_folder(output).exists()
+            && let Ok(work) = Self::open(output)
+        {
+            // The scene is there; a folder that cannot be removed is no harm to it.
+            let _ = work.remove();
+        }
+    }
+
     /// A file in the folder.
     pub(crate) fn path(&self, name: &str) -> PathBuf {
         self.folder.join(name)

@@ -37,7 +37,7 @@ const RECENT: usize = 4;
 /// Triangles looked at first, to learn about how great the distance is.
 const FIRST_LOOKS: usize = 32;
 /// A triangle this share of the wanted distance away is as good as the nearest.
-const NEAR_SHARE: f64 = 0.25;
+const NEAR_SHARE: f64 = 0.08;
 /// Least reach of both parts of a piece from where it is cut, as a share of the wanted distance.
 const CUT_SHARE: f64 = 0.125;
 

@@ -57,16 +57,35 @@ fn in_gltf(path: &Path) -> std::io::Result<Vec<PathBuf>> {
 
 fn in_obj(path: &Path) -> std::io::Result<Vec<PathBuf>> {
     let mut found = Vec::new();
-    for library in named_after(path, &["mtllib "])? {
-        let Some(library) = (Folder { file: path }).find(&library) else { continue };
-        // A missing library is the importer's to judge.
-        let pictures = named_after(&library, &["map_Kd "]).unwrap_or_default();
-        found.push(library.clone());
-        // Options come before the name.
-        let names = pictures.iter().filter_map(|rest| rest.split_whitespace().last());
-        found.extend(names.filter_map(|name| Folder { file: &library }.find(name)));
+    for line in named_after(path, &["mtllib "])? {
+        for library in named_in(path, &line) {
+            // A missing library is the importer's to judge.
+            let pictures = named_after(&library, &["map_Kd "]).unwrap_or_default();
+            found.push(library.clone());
+            found.extend(pictures.iter().flat_map(|line| named_in(&library, line)));
+        }
     }
     Ok(found)
+}
+
+/// Every file that a line may mean: names may hold blanks, follow options, stand for a URI, or have lost
+/// their folder on the way. One too many only makes a bake look again.
+fn named_in(file: &Path, line: &str) -> Vec<PathBuf> {
+    let folder = Folder { file };
+    let mut found: Vec<PathBuf> = Vec::new();
+    for (at, _) in line.char_indices().filter(|&(at, _)| at == 0 || line[..at].ends_with(' ')) {
+        for name in [&line[at..], line[at..].split(' ').next().unwrap_or_default()] {
+            let last = name.rsplit(['/', '\\']).next().unwrap_or(name);
+            let plain = [name, last].map(|name| folder.named("", name).ok());
+            let either = [folder.find(name), folder.find(last)].into_iter().chain(plain);
+            for path in either.flatten() {
+                if !found.contains(&path) {
+                    found.push(path);
+                }
+            }
+        }
+    }
+    found
 }
 
 /// What stands behind one of these words at the beginning of a line.
@@ -96,7 +115,7 @@ mod tests {
             path
         };
         write("a b.png", b"");
-        write("m.mtl", b"newmtl x\nmap_Kd -clamp on k.png\n");
+        write("m.mtl", b"newmtl x\nmap_Kd -clamp on k.png\nmap_Kd C:\\\\x\\\\a b.png\n");
         write("k.png", b"");
         let names = |path: &Path| -> Vec<String> {
             let all = references(path).unwrap();
@@ -110,7 +129,10 @@ mod tests {
         glb.extend(json);
         glb.extend(b"more");
         assert_eq!(names(&write("s.glb", &glb)), ["a b.png"]);
-        assert_eq!(names(&write("s.obj", b"mtllib m.mtl\nv 0 0 0\n")), ["m.mtl", "k.png"]);
+        assert_eq!(
+            names(&write("s.obj", b"mtllib m.mtl\nv 0 0 0\n")),
+            ["m.mtl", "k.png", "a b.png"]
+        );
         assert!(names(&write("s.ply", b"ply\n")).is_empty());
         assert!(names(&write("broken.gltf", b"{\"images\":[{")).is_empty());
         assert!(references(&folder.path().join("none.glb")).is_err());
