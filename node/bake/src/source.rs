@@ -36,7 +36,7 @@ pub struct SourceMesh {
 pub struct Section {
     /// One past its last triangle.
     pub end: u32,
-    /// Index into [`Source::surfaces`].
+    /// Index into [`Imported::surfaces`].
     pub surface: u16,
 }
 
@@ -69,7 +69,7 @@ pub struct Surface {
     pub alpha: Alpha,
     /// Seen from behind as well. Formats that do not say so are double-sided.
     pub double_sided: bool,
-    /// Index into [`Source::textures`].
+    /// Number of the texture, as the [`Sink`] took it.
     pub texture: Option<u32>,
 }
 
@@ -103,7 +103,7 @@ impl SourceMesh {
 pub struct SourceObject {
     /// The file's own name for it, or a made-up one that says where it stands ("node 7").
     pub name: String,
-    /// Which of [`Source::meshes`] it shows.
+    /// Number of the mesh it shows, as the [`Sink`] took it.
     pub mesh: usize,
     /// Where it stands: finite, and invertible in exact arithmetic (its determinant is not zero).
     /// See [`SourceObject::is_mirrored`].
@@ -144,7 +144,8 @@ pub struct Imported {
     pub notes: Vec<String>,
 }
 
-/// A whole source scene.
+/// A whole source scene in memory, for tests.
+#[cfg(test)]
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Source {
     /// Distinct meshes: in the file's order, then those an importer had to make for single objects.
@@ -161,6 +162,7 @@ pub struct Source {
     pub notes: Vec<String>,
 }
 
+#[cfg(test)]
 impl Source {
     /// Adds what an import says last to a scene that already holds its meshes and textures.
     pub(crate) fn complete(&mut self, imported: Imported) {

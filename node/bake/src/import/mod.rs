@@ -28,7 +28,9 @@ pub use references::references;
 
 use self::emit::Emitter;
 use self::format::Format;
-use crate::source::{Imported, Sink, Source, SourceMesh, Texture};
+use crate::source::{Imported, Sink};
+#[cfg(test)]
+use crate::source::{Source, SourceMesh, Texture};
 
 /// What an import may yield at most.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -70,11 +72,8 @@ pub fn import(
 }
 
 /// Reads the scene file at `path` as a whole, with the default limits.
-///
-/// # Errors
-///
-/// As [`import`].
-pub fn import_all(path: &Path) -> Result<Source, ImportError> {
+#[cfg(test)]
+fn import_all(path: &Path) -> Result<Source, ImportError> {
     let mut whole = Source::default();
     let imported = import(path, &ImportLimits::default(), &mut Collect(&mut whole))?;
     whole.complete(imported);
@@ -82,8 +81,10 @@ pub fn import_all(path: &Path) -> Result<Source, ImportError> {
 }
 
 /// Keeps everything.
+#[cfg(test)]
 struct Collect<'a>(&'a mut Source);
 
+#[cfg(test)]
 impl Sink for Collect<'_> {
     fn mesh(&mut self, mesh: SourceMesh) -> std::io::Result<()> {
         self.0.meshes.push(mesh);
