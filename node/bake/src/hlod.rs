@@ -4,7 +4,7 @@
 //! Only an hlod, its children's forms and the packed bytes of its subtree are in memory.
 
 use crate::built::{Built, Form, Geometry, PendingLevel, PendingPart, Shape, Subtree, Top};
-use crate::levels::{Chain, CoarseMesh, ERROR_GROWTH, End, Setting, UNSEEN};
+use crate::levels::{Chain, CoarseMesh, ERROR_GROWTH, End, PAYING_SHARE, Setting, UNSEEN};
 use crate::options::{MAX_MESH_TRIANGLES, Options};
 use crate::pack::{finest_step, pack, snap};
 use crate::pieces::PieceMesh;
@@ -31,8 +31,6 @@ const SURPLUS: f64 = 1.5;
 /// A child whose coarsest level errs by less than this share of what its parent's finest does is
 /// given more levels: nothing else stands for it in between.
 const GAP: f64 = 0.25;
-/// A level of placed parts is kept only if it has at most this share of the triangles before.
-const PAYING_SHARE: f64 = 0.75;
 /// Instances stand for an hlod where they have at most so many times the triangles of one mesh,
 const INSTANCES_PAY: f64 = 1.5;
 /// and at most so many parts.

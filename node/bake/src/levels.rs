@@ -21,7 +21,7 @@ const ERROR_PER_EPSILON: f64 = 4.0;
 /// Growth of the welding distance from round to round.
 const EPSILON_GROWTH: f64 = 4.0;
 /// A level is kept only if it has at most this share of the triangles of the one before.
-const PAYING_SHARE: f64 = 0.75;
+pub(crate) const PAYING_SHARE: f64 = 0.75;
 /// A result this much above its target is near enough.
 const NEAR_TARGET: f64 = 1.25;
 /// A level that errs by more than this share of the mesh's diagonal says nothing about its shape.

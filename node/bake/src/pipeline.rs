@@ -13,7 +13,7 @@ use crate::pack::Packed;
 use crate::plan::{Pieces, Plan};
 use crate::progress::Progress;
 use crate::shared::{self, MadeLevel, SharedLevels, SharedWriter};
-use crate::source::{Imported, Sink, Wrap};
+use crate::source::{Imported, Sink};
 use crate::spool::{Scene, Spool};
 use crate::summary::{self, StageSeconds, Summary};
 use crate::work::{Key, Records, Work, WorkError};
@@ -303,7 +303,7 @@ impl Job<'_> {
             let source = Scene::open(work)?;
             for (index, texture) in scene.textures.iter().enumerate() {
                 let rgba = scene.texture(&source, index)?;
-                output.write_texture(texture.side, texture.wrap.map(format_wrap), &rgba)?;
+                output.write_texture(texture.side, texture.wrap, &rgba)?;
             }
         }
         let info = self.info(&scene, &pieces, &plan);
@@ -499,14 +499,6 @@ fn stored(criteria: &Criteria) -> format::Criteria {
         size_p50: criteria.size_p50,
         size_p90: criteria.size_p90,
         reserved2: 0,
-    }
-}
-
-fn format_wrap(wrap: Wrap) -> format::Wrap {
-    match wrap {
-        Wrap::Repeat => format::Wrap::Repeat,
-        Wrap::Clamp => format::Wrap::Clamp,
-        Wrap::Mirror => format::Wrap::Mirror,
     }
 }
 

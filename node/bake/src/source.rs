@@ -1,5 +1,7 @@
 //! A source scene: what every importer yields and every later stage of the bake reads.
 
+pub use protocol::format::Wrap;
+
 /// One mesh, in its own coordinates. Any number of objects may place it.
 ///
 /// An importer guarantees: `positions`, `normals` and `colors` are equally long, every number is
@@ -49,17 +51,6 @@ pub enum Alpha {
     Mask(f32),
     /// Mixed with what lies behind.
     Blend,
-}
-
-/// How texture coordinates go on outside a picture.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub enum Wrap {
-    /// Again from the other side.
-    Repeat,
-    /// The border's colour for ever.
-    Clamp,
-    /// Back and forth.
-    Mirror,
 }
 
 /// What triangles are made of, apart from their colour.

@@ -195,7 +195,7 @@ impl Scene {
         out.put(self.textures.len() as u64);
         for texture in &self.textures {
             out.put(texture.side);
-            out.put(texture.wrap.map(wrap_number));
+            out.put(Wrap::pack(texture.wrap));
             out.put(texture.span);
         }
         out.put(self.objects.len() as u64);
@@ -247,8 +247,7 @@ impl Scene {
         }
         for _ in 0..from.take_count()? {
             let side = from.take()?;
-            let [u, v] = from.take::<[u32; 2]>()?;
-            let wrap = [wrap_of(u)?, wrap_of(v)?];
+            let wrap = Wrap::unpack(from.take()?).ok_or(Torn)?;
             scene.textures.push(TextureInfo { side, wrap, span: from.take()? });
         }
         for _ in 0..from.take_count()? {
@@ -277,19 +276,6 @@ impl Scene {
         }
         if from.0.is_empty() { Ok(scene) } else { Err(Torn) }
     }
-}
-
-/// As the scene file has it, too.
-pub(crate) fn wrap_number(wrap: Wrap) -> u32 {
-    match wrap {
-        Wrap::Repeat => 0,
-        Wrap::Clamp => 1,
-        Wrap::Mirror => 2,
-    }
-}
-
-fn wrap_of(number: u32) -> Result<Wrap, Torn> {
-    [Wrap::Repeat, Wrap::Clamp, Wrap::Mirror].get(number as usize).copied().ok_or(Torn)
 }
 
 #[cfg(test)]

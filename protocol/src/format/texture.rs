@@ -34,7 +34,7 @@ impl Texture {
 }
 
 /// What lies beyond the edge of a texture, in one direction.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 #[repr(u32)]
 pub enum Wrap {
     /// The texture again.
