@@ -1,6 +1,6 @@
 //! Run settings from text: rig files, and the spellings that flags and rig files share.
 
-use protocol::settings::{BackendChoice, Cull, PictureSize, Schedule};
+use protocol::settings::{BackendChoice, Cull, PictureSize, Residency, Schedule};
 use serde::{Deserialize, Deserializer};
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
@@ -54,6 +54,13 @@ pub struct Rig {
     pub audit: Option<Every>,
     /// Whether pictures are written.
     pub pictures: Option<Pictures>,
+    /// Most memory for geometry and textures, for each process.
+    #[serde(default, deserialize_with = "from_text")]
+    pub memory: Option<Bytes>,
+    /// What a frame promises where geometry is missing.
+    pub residency: Option<Residency>,
+    /// Whether geometry is read before it is needed.
+    pub prefetch: Option<Switch>,
 }
 
 impl Rig {
@@ -157,6 +164,39 @@ impl FromStr for Every {
     }
 }
 
+/// A number of bytes in text, with or without a unit.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Bytes(pub u64);
+
+impl FromStr for Bytes {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let digits = text.find(|c: char| !c.is_ascii_digit()).unwrap_or(text.len());
+        let (number, unit) = text.split_at(digits);
+        let shift = match unit {
+            "" | "B" => 0,
+            "KiB" => 10,
+            "MiB" => 20,
+            "GiB" => 30,
+            "TiB" => 40,
+            _ => return Err("write bytes as 1048576, 64MiB or 1GiB".to_owned()),
+        };
+        let number: u64 = number.parse().map_err(|_| "write bytes as 64MiB or 1GiB".to_owned())?;
+        number.checked_mul(1 << shift).map(Self).ok_or_else(|| "too many bytes".to_owned())
+    }
+}
+
+/// `on` or `off`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Switch {
+    /// Yes.
+    On,
+    /// No.
+    Off,
+}
+
 /// Whether pictures are written.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
@@ -191,6 +231,16 @@ mod tests {
     }
 
     #[test]
+    fn bytes_have_binary_units() {
+        for (text, bytes) in [("7", 7), ("7B", 7), ("64MiB", 64 << 20), ("2TiB", 2 << 40)] {
+            assert_eq!(text.parse(), Ok(Bytes(bytes)));
+        }
+        for bad in ["", "MiB", "-1", "1.5GiB", "1MB", "1 GiB", "99999999999999TiB", "\u{e9}"] {
+            assert!(bad.parse::<Bytes>().is_err(), "{bad}");
+        }
+    }
+
+    #[test]
     fn rig_files_refuse_unknown_keys_and_bad_values() {
         let good = "processes = 3\nbind = \"127.0.0.1:0\"\nsize = \"64x48\"\ncull = \"boxes\"\nlod = 0.5\naudit = \"off\"";
         let rig: Rig = toml::from_str(good).unwrap();
@@ -200,6 +250,9 @@ mod tests {
             "sise = \"1x1\"",
             "size = \"big\"",
             "cull = \"zap\"",
+            "memory = \"much\"",
+            "residency = \"lazy\"",
+            "prefetch = true",
             "lod = -1.0",
             "lod = nan",
         ] {

@@ -65,6 +65,7 @@ pub fn kind_of_exit_code(code: Option<i32>) -> FailureKind {
         Some(74) => FailureKind::Io,
         Some(76) => FailureKind::Protocol,
         Some(77) => FailureKind::NotAllowed,
+        Some(78) => FailureKind::Config,
         Some(_) => FailureKind::Internal,
     }
 }

@@ -3,18 +3,25 @@
 //! [`run`] is a whole process that joins a coordinator over TCP; [`run_in_process`] is three of them
 //! as threads, linked by pipes, through the same code.
 
+mod budget;
 pub mod choose;
 pub mod doctor;
 #[cfg(test)]
 mod fixture;
+mod io_thread;
 mod net;
+mod open;
 pub mod orphan;
 pub mod pictures;
 mod resident;
 mod role;
 mod runner;
+mod stream;
 pub mod telemetry;
 mod worker;
+
+pub use budget::TooSmall;
+pub use open::check_memory;
 
 use choose::ChooseError;
 use net::{Peers, Pipes, Stream};
@@ -22,7 +29,7 @@ use pictures::PictureError;
 use protocol::message::{FailureKind, Token};
 use role::RoleError;
 use runner::{Start, drive};
-use scene::store::{OpenError, StoreError, failure_kind};
+use scene::store::{OpenError, failure_kind};
 use tokio::io::DuplexStream;
 use tokio::net::TcpListener;
 
@@ -131,6 +138,12 @@ impl From<OpenError> for NodeError {
     }
 }
 
+impl From<TooSmall> for NodeError {
+    fn from(error: TooSmall) -> Self {
+        Self::new(FailureKind::Config, error.to_string())
+    }
+}
+
 impl From<ChooseError> for NodeError {
     fn from(error: ChooseError) -> Self {
         Self::new(FailureKind::Unavailable, error.to_string())
@@ -141,10 +154,9 @@ impl From<RoleError> for NodeError {
     fn from(error: RoleError) -> Self {
         let kind = match &error {
             RoleError::Backend(_) => FailureKind::Unavailable,
-            RoleError::Geometry(StoreError::Damaged { .. } | StoreError::DamagedTexture { .. }) => {
-                FailureKind::BadData
-            }
-            RoleError::Geometry(StoreError::Unknown { .. }) => FailureKind::Internal,
+            RoleError::Texture(error) => error.failure_kind(),
+            RoleError::Textures => FailureKind::Config,
+            RoleError::IoThread => FailureKind::Internal,
             RoleError::ForeignHlod(_) => FailureKind::Protocol,
         };
         Self::new(kind, error.to_string())

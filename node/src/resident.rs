@@ -1,85 +1,358 @@
-//! Which geometry the backend holds: read from the store at first need.
+//! Which geometry the backend holds, and how it comes there: takes in what the I/O thread reads, gives
+//! up what is least needed, and draws lists whose geometry is there only in part, part by part.
 
-use protocol::format::Texture;
-use protocol::id::BlobId;
+use crate::budget::Budget;
+use crate::io_thread::{Arrival, IoThread, Order};
+use crate::role::RoleError;
+use crate::stream::Runs;
+use crossbeam_channel::{Receiver, TryRecvError, select};
+use protocol::camera::Camera;
+use protocol::format::Skeleton;
+use protocol::id::{BlobId, FrameIndex};
+use protocol::settings::Residency as Promise;
 use protocol::telemetry::IoCounts;
-use scene::backend::{Backend, Draw};
-use scene::store::{Store, StoreError};
+use protocol::visible::VisibleSet;
+use scene::backend::{Backend, Part, Upload};
+use scene::draw_list::Draws;
+use scene::front::FrontEntry;
+use scene::prefetch::{Motion, Outlook};
+use scene::residency::{Residency, Stamp, Use};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Instant;
 
-use crate::role::RoleError;
+/// Bytes a frame takes in of what nobody waits for.
+const UPLOAD_BYTES: u64 = 8 << 20;
 
-/// Marks what the backend holds and counts what had to be read.
-pub(crate) struct Residency {
-    held: Vec<bool>,
-    textures_held: bool,
-    bytes: Arc<AtomicU64>,
+/// Geometry of one backend.
+pub(crate) struct Loader {
+    skeleton: Arc<Skeleton>,
+    io: IoThread,
+    residency: Residency,
+    budget: Budget,
+    promise: Promise,
+    prefetch: bool,
+    /// The present drawing.
+    now: Stamp,
+    /// Blobs that cannot be read.
+    lost: Vec<bool>,
+    /// Last cameras, by frame.
+    cameras: [Option<(FrameIndex, Camera)>; 2],
+    /// Bytes this frame may still take in of what nobody waits for.
+    upload_left: u64,
+    peak: Arc<AtomicU64>,
     counts: IoCounts,
 }
 
-impl Residency {
-    /// Nothing is held of a scene of `blobs` meshes; `bytes` follows what is.
-    pub(crate) fn new(blobs: usize, bytes: Arc<AtomicU64>) -> Self {
-        Self { held: vec![false; blobs], textures_held: false, bytes, counts: IoCounts::default() }
-    }
+/// How a list was drawn.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Drawn {
+    /// All of it.
+    Whole,
+    /// A blob turned out to be unreadable: what is drawn must be chosen anew.
+    Lost,
+}
 
-    /// Uploads what `draws` need and the backend lacks. A mesh that several draws share counts once
-    /// for each.
-    pub(crate) fn ensure(
-        &mut self,
-        store: &Store,
-        backend: &mut dyn Backend,
-        draws: &[Draw],
-    ) -> Result<(), RoleError> {
-        for draw in draws {
-            if self.held[draw.blob.index()] {
-                self.counts.hits += 1;
-            } else {
-                self.load(store, backend, draw.blob)?;
-            }
+impl Loader {
+    /// Nothing is held. `peak` follows the most bytes held, buffers included.
+    pub(crate) fn new(
+        skeleton: Arc<Skeleton>,
+        io: IoThread,
+        budget: Budget,
+        promise: Promise,
+        prefetch: bool,
+        peak: Arc<AtomicU64>,
+    ) -> Self {
+        let blobs = skeleton.blobs.len();
+        Self {
+            skeleton,
+            io,
+            residency: Residency::new(blobs),
+            budget,
+            promise,
+            prefetch,
+            now: 0,
+            lost: vec![false; blobs],
+            cameras: [None; 2],
+            upload_left: UPLOAD_BYTES,
+            peak,
+            counts: IoCounts::default(),
         }
-        Ok(())
-    }
-
-    fn load(
-        &mut self,
-        store: &Store,
-        backend: &mut dyn Backend,
-        id: BlobId,
-    ) -> Result<(), RoleError> {
-        let began = Instant::now();
-        let bytes = store.blob(id)?;
-        let blob = store.skeleton().blob(id);
-        if blob.is_textured() && !self.textures_held {
-            self.load_textures(store, backend)?;
-        }
-        backend.upload(id, blob, bytes)?;
-        self.held[id.index()] = true;
-        self.bytes.fetch_add(blob.bytes, Ordering::Relaxed);
-        self.counts.misses += 1;
-        self.counts.bytes_read += blob.bytes;
-        self.counts.stall_ns += began.elapsed().as_nanos() as u64;
-        Ok(())
-    }
-
-    /// Uploads all textures: backends take them at once, before the first mesh that shows one.
-    fn load_textures(&mut self, store: &Store, backend: &mut dyn Backend) -> Result<(), RoleError> {
-        let records = &store.skeleton().textures;
-        let with_bytes = |(index, record): (u32, &Texture)| Ok((*record, store.texture(index)?));
-        let textures: Vec<_> =
-            (0..).zip(records).map(with_bytes).collect::<Result<_, StoreError>>()?;
-        backend.upload_textures(&textures)?;
-        self.textures_held = true;
-        let bytes: u64 = records.iter().map(|record| record.bytes).sum();
-        self.bytes.fetch_add(bytes, Ordering::Relaxed);
-        self.counts.bytes_read += bytes;
-        Ok(())
     }
 
     /// What was counted since the last call.
     pub(crate) fn take_counts(&mut self) -> IoCounts {
         std::mem::take(&mut self.counts)
+    }
+
+    /// Begins another drawing: what it uses is younger than all before.
+    pub(crate) fn begin_drawing(&mut self) {
+        // A node that never draws never loads.
+        if self.now == 0 && self.prefetch && self.budget.fits {
+            self.io.foresee(Order::Everything);
+        }
+        self.now += 1;
+        self.upload_left = UPLOAD_BYTES;
+    }
+
+    /// Whether a level can be drawn: in `exact` if it can be had, in `deadline` if it is there.
+    pub(crate) fn offers(&self, level: u32, promise: Promise) -> bool {
+        let parts = self.skeleton.parts_of(&self.skeleton.levels[level as usize]);
+        parts.iter().map(|part| BlobId(part.blob)).all(|blob| match promise {
+            Promise::Exact => !self.lost[blob.index()],
+            Promise::Deadline => self.residency.holds(blob),
+        })
+    }
+
+    /// Loads what is to stay for good.
+    pub(crate) fn load_for_good(
+        &mut self,
+        backend: &mut dyn Backend,
+        entries: &[FrontEntry],
+    ) -> Result<(), RoleError> {
+        let blobs = self.blobs_of(entries);
+        self.io.fetch(blobs.clone());
+        let is_missing = |own: &Self, blob: &BlobId| {
+            !own.residency.holds(*blob) && !own.lost[blob.index()]
+        };
+        while blobs.iter().any(|blob| is_missing(self, blob)) {
+            let arrival = self.io.arrivals.recv().map_err(|_| RoleError::IoThread)?;
+            self.take_in(backend, arrival)?;
+        }
+        for blob in blobs.into_iter().filter(|blob| self.residency.holds(*blob)) {
+            self.residency.touch(blob, Stamp::MAX);
+        }
+        Ok(())
+    }
+
+    fn blobs_of(&self, entries: &[FrontEntry]) -> Vec<BlobId> {
+        let levels = entries.iter().map(|entry| &self.skeleton.levels[entry.level as usize]);
+        let parts = levels.flat_map(|level| self.skeleton.parts_of(level));
+        let mut blobs: Vec<BlobId> = parts.map(|part| BlobId(part.blob)).collect();
+        blobs.sort_unstable();
+        blobs.dedup();
+        blobs
+    }
+
+    /// Orders what `entries` lack, and does not wait for it.
+    pub(crate) fn order_missing(&mut self, entries: &[FrontEntry]) {
+        let mut blobs = self.blobs_of(entries);
+        blobs.retain(|blob| !self.residency.holds(*blob) && !self.lost[blob.index()]);
+        if !blobs.is_empty() {
+            self.counts.misses += blobs.len() as u64;
+            self.io.fetch(blobs);
+        }
+    }
+
+    /// Draws a list in its order, in one part where all its geometry is there; else it draws what comes
+    /// before the first blob that is missing, waits, and goes on. So the picture is that of one part.
+    pub(crate) fn stream(
+        &mut self,
+        backend: &mut dyn Backend,
+        draws: &Draws,
+        mut submit: impl FnMut(&mut dyn Backend, Draws, Part) -> Result<(), RoleError>,
+    ) -> Result<Drawn, RoleError> {
+        let mut runs = Runs::new(draws);
+        self.count_needs(&runs);
+        let mut opens = true;
+        loop {
+            let ready = runs.ready(|blob| self.residency.holds(blob));
+            let closes = ready.end == runs.len();
+            if closes || !ready.is_empty() {
+                submit(backend, runs.draws(ready.clone()), Part { opens, closes })?;
+                opens = false;
+                runs.advance(ready.end);
+            }
+            if closes {
+                return Ok(Drawn::Whole);
+            }
+            let waiting = Instant::now();
+            let arrival = self.next_arrival(&mut runs)?;
+            self.counts.stall_ns += waiting.elapsed().as_nanos() as u64;
+            self.take_in_for(backend, arrival, &mut runs)?;
+            while let Ok(arrival) = self.io.arrivals.try_recv() {
+                self.take_in_for(backend, arrival, &mut runs)?;
+            }
+            if runs.blobs().any(|blob| self.lost[blob.index()]) {
+                return Ok(Drawn::Lost);
+            }
+        }
+    }
+
+    /// Counts hits, misses and events, and marks what is there as used.
+    fn count_needs(&mut self, runs: &Runs<'_>) {
+        for blob in runs.blobs() {
+            if !self.residency.holds(blob) {
+                self.counts.misses += 1;
+                self.counts.events += 1;
+                continue;
+            }
+            let Use { before, foreseen } = self.residency.touch(blob, self.now);
+            let is_event = foreseen || before.saturating_add(1) < self.now;
+            self.counts.hits += 1;
+            self.counts.events += u64::from(is_event);
+            self.counts.events_foreseen += u64::from(is_event);
+            if foreseen {
+                self.counts.prefetched_used += self.skeleton.blob(blob).bytes;
+            }
+        }
+    }
+
+    /// Orders as much of what is missing as buffers hold, and waits for what comes first.
+    fn next_arrival(&mut self, runs: &mut Runs<'_>) -> Result<Arrival, RoleError> {
+        let bytes = |blob: BlobId| self.skeleton.blob(blob).bytes;
+        let orders = runs.to_order(self.budget.host, bytes, |blob| self.residency.holds(blob));
+        if !orders.is_empty() {
+            self.io.fetch(orders);
+        }
+        self.io.arrivals.recv().map_err(|_| RoleError::IoThread)
+    }
+
+    /// Takes in what a list waits for, at the cost of what the list has drawn or draws last.
+    fn take_in_for(
+        &mut self,
+        backend: &mut dyn Backend,
+        arrival: Arrival,
+        runs: &mut Runs<'_>,
+    ) -> Result<(), RoleError> {
+        let blob = arrival.blob;
+        let is_wanted = runs.arrived(blob);
+        if !is_wanted {
+            return self.take_in(backend, arrival);
+        }
+        let Some(bytes) = self.readable(&arrival) else { return Ok(()) };
+        while !self.upload(backend, blob, bytes, false)? {
+            let older = self.spare().or_else(|| self.residency.older_than(self.now).next());
+            match older.or_else(|| runs.victim(blob, |blob| self.residency.holds(blob))) {
+                Some(victim) => self.give_up(backend, victim),
+                None => {
+                    // Its turn comes later.
+                    runs.forget(blob);
+                    self.io.claims.clear(blob);
+                    return Ok(());
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Takes in what nothing waits for, where there is room or something less likely to be needed.
+    fn take_in(&mut self, backend: &mut dyn Backend, arrival: Arrival) -> Result<(), RoleError> {
+        let blob = arrival.blob;
+        let Some(bytes) = self.readable(&arrival) else { return Ok(()) };
+        self.upload_left = self.upload_left.saturating_sub(bytes.len() as u64);
+        while !self.upload(backend, blob, bytes, arrival.foreseen)? {
+            let Some(victim) = self.spare() else {
+                self.io.claims.clear(blob);
+                return Ok(());
+            };
+            self.give_up(backend, victim);
+        }
+        Ok(())
+    }
+
+    /// The least recently used blob that the present drawing does not use and no forecast names.
+    fn spare(&self) -> Option<BlobId> {
+        self.residency.older_than(self.now).find(|&blob| !self.io.likely.has(blob))
+    }
+
+    /// The bytes of an arrival, which are counted; none of one that could not be read, which is said.
+    fn readable<'b>(&mut self, arrival: &'b Arrival) -> Option<&'b [u8]> {
+        match &arrival.bytes {
+            Ok(bytes) => {
+                self.counts.bytes_read += bytes.len() as u64;
+                if arrival.foreseen {
+                    self.counts.prefetched += bytes.len() as u64;
+                }
+                Some(bytes)
+            }
+            Err(error) => {
+                tracing::warn!("{error}; something coarser is shown");
+                self.lost[arrival.blob.index()] = true;
+                self.counts.faults += 1;
+                None
+            }
+        }
+    }
+
+    /// Whether there was room.
+    fn upload(
+        &mut self,
+        backend: &mut dyn Backend,
+        blob: BlobId,
+        bytes: &[u8],
+        foreseen: bool,
+    ) -> Result<bool, RoleError> {
+        if backend.upload(blob, self.skeleton.blob(blob), bytes)? == Upload::Full {
+            return Ok(false);
+        }
+        self.residency.insert(blob, self.now, foreseen);
+        self.peak.fetch_max(backend.held_bytes() + self.io.pool.most(), Ordering::Relaxed);
+        Ok(true)
+    }
+
+    fn give_up(&mut self, backend: &mut dyn Backend, blob: BlobId) {
+        backend.evict(blob);
+        self.residency.remove(blob);
+        self.io.claims.clear(blob);
+        self.counts.evicted += self.skeleton.blob(blob).bytes;
+    }
+
+    /// Takes in what has come meanwhile, within this frame's share.
+    pub(crate) fn take_in_all(&mut self, backend: &mut dyn Backend) -> Result<(), RoleError> {
+        while self.upload_left > 0 {
+            let Ok(arrival) = self.io.arrivals.try_recv() else { break };
+            self.take_in(backend, arrival)?;
+        }
+        Ok(())
+    }
+
+    /// Waits for a job, and takes in what comes meanwhile, within this frame's share. None once there
+    /// are no more jobs.
+    pub(crate) fn take_in_until<J>(
+        &mut self,
+        backend: &mut dyn Backend,
+        jobs: &Receiver<J>,
+    ) -> Result<Option<J>, RoleError> {
+        loop {
+            match jobs.try_recv() {
+                Ok(job) => return Ok(Some(job)),
+                Err(TryRecvError::Disconnected) => return Ok(None),
+                Err(TryRecvError::Empty) if self.upload_left == 0 => return Ok(jobs.recv().ok()),
+                Err(TryRecvError::Empty) => {}
+            }
+            select! {
+                recv(jobs) -> job => return Ok(job.ok()),
+                recv(self.io.arrivals) -> arrival => {
+                    let arrival = arrival.map_err(|_| RoleError::IoThread)?;
+                    self.take_in(backend, arrival)?;
+                }
+            }
+        }
+    }
+
+    /// Learns where the camera of a frame is and what is visible, and has read ahead what that lets
+    /// expect. A scene that fits is on its way as a whole, and no word is lost.
+    pub(crate) fn foresee(
+        &mut self,
+        frame: FrameIndex,
+        camera: &Camera,
+        visible: &Arc<VisibleSet>,
+    ) {
+        if self.cameras[1].is_none_or(|(last, _)| last < frame) {
+            self.cameras = [self.cameras[1], Some((frame, *camera))];
+        }
+        if !self.prefetch || self.budget.fits {
+            return;
+        }
+        let [before, Some((last, now))] = self.cameras else { return };
+        let (first, before) = before.unwrap_or((last, now));
+        let motion = Motion { before, now, frames: (last.0 - first.0).max(1) };
+        let outlook = Outlook { motion, visible: Arc::clone(visible) };
+        // What the present drawing uses stays; the rest makes room.
+        let in_use: Vec<BlobId> = self.residency.used_since(self.now).collect();
+        let used = in_use.iter().map(|&blob| self.skeleton.blob(blob).bytes);
+        let room = self.budget.device.saturating_sub(used.sum());
+        self.io.foresee(Order::Foresee { outlook, in_use, room });
     }
 }

@@ -213,7 +213,7 @@ impl Runner {
             None
         };
         if let Some(camera) = camera {
-            self.worker.order(Job::Foresee { camera });
+            self.worker.order(Job::MakeFront { camera });
         }
     }
 
@@ -276,7 +276,7 @@ impl Runner {
             sent: sent.collect(),
             sent_control: self.links.get(&Peer::Coordinator).map_or(0, |link| link.sent),
             peak_rss: peak_rss(),
-            resident_bytes: self.worker.resident_bytes(),
+            peak_resident: self.worker.peak_resident(),
         }
     }
 

@@ -1,10 +1,9 @@
 //! The render thread: opens the scene, then does one role's work after another.
 
-use crate::choose::choose_backend;
+use crate::open::{Scene, open};
 use crate::pictures::PictureWriter;
-use crate::resident::Residency;
 use crate::role::audit::{self, Measured};
-use crate::role::{Stage, hardware_cull, occlusion_representation, render_visible_geometry};
+use crate::role::{hardware_cull, occlusion_representation, render_visible_geometry};
 use crate::runner::Event;
 use crate::telemetry::Clock;
 use crate::{NodeError, role};
@@ -15,8 +14,7 @@ use protocol::session::node::WorkTimes;
 use protocol::settings::RunSettings;
 use protocol::telemetry::{BackendInfo, CullCounts, DrawCounts, IoCounts};
 use protocol::visible::VisibleSet;
-use scene::store::Store;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use tokio::sync::{mpsc, oneshot};
@@ -29,7 +27,7 @@ pub(crate) enum Job {
     /// Open the scene and start the backend.
     Open { settings: RunSettings },
     /// Make the front of a camera that is about to be needed.
-    Foresee { camera: Camera },
+    MakeFront { camera: Camera },
     /// OR: make the depth of `frame`.
     Occlude { frame: FrameIndex, camera: Camera, occluders: Arc<VisibleSet> },
     /// HC: find V_frame.
@@ -66,7 +64,7 @@ pub(crate) enum Done {
 pub(crate) struct Worker {
     jobs: Option<crossbeam_channel::Sender<Job>>,
     ended: Option<oneshot::Receiver<Result<(), NodeError>>>,
-    resident_bytes: Arc<AtomicU64>,
+    peak_resident: Arc<AtomicU64>,
 }
 
 impl Worker {
@@ -74,8 +72,8 @@ impl Worker {
     pub(crate) fn start(clock: Clock, events: mpsc::Sender<Event>) -> Self {
         let (jobs, inbox) = crossbeam_channel::bounded(QUEUED);
         let (tell_end, ended) = oneshot::channel();
-        let resident_bytes = Arc::new(AtomicU64::new(0));
-        let shared = Arc::clone(&resident_bytes);
+        let peak_resident = Arc::new(AtomicU64::new(0));
+        let shared = Arc::clone(&peak_resident);
         std::thread::spawn(move || {
             let say = |done| events.blocking_send(Event::Done(done)).map_err(|_| Stop::Unheard);
             let work = || serve(clock, &inbox, &say, &shared);
@@ -95,7 +93,7 @@ impl Worker {
             };
             let _ = tell_end.send(result);
         });
-        Self { jobs: Some(jobs), ended: Some(ended), resident_bytes }
+        Self { jobs: Some(jobs), ended: Some(ended), peak_resident }
     }
 
     /// Queues a job. One that comes after the thread has failed is dropped: its failure is on the way.
@@ -105,9 +103,9 @@ impl Worker {
         assert!(!refused.is_some_and(|error| error.is_full()), "a session orders one job a phase");
     }
 
-    /// Geometry bytes the backend holds.
-    pub(crate) fn resident_bytes(&self) -> u64 {
-        self.resident_bytes.load(Ordering::Relaxed)
+    /// Most bytes of geometry and textures held so far, buffers included.
+    pub(crate) fn peak_resident(&self) -> u64 {
+        self.peak_resident.load(Ordering::Relaxed)
     }
 
     /// Lets the thread end its work and write its last pictures.
@@ -137,30 +135,30 @@ fn serve(
     clock: Clock,
     jobs: &crossbeam_channel::Receiver<Job>,
     say: &dyn Fn(Done) -> Result<(), Stop>,
-    resident_bytes: &Arc<AtomicU64>,
+    peak_resident: &Arc<AtomicU64>,
 ) -> Result<(), Stop> {
     let Ok(Job::Open { settings }) = jobs.recv() else { return Ok(()) };
-    let store = Store::open(Path::new(&settings.scene_path))?;
-    let backend = choose_backend(settings.backend, settings.size)?;
+    let Scene { digest, mut stage } = open(&settings, peak_resident)?;
     let folder = settings.pictures_dir.as_ref().map(PathBuf::from);
     let mut pictures = folder.map(|at| PictureWriter::start(at, settings.size)).transpose()?;
-    say(Done::Opened(Opened { scene_digest: store.digest(), backend: backend.info() }))?;
-    let residency = Residency::new(store.skeleton().blobs.len(), Arc::clone(resident_bytes));
-    let mut stage = Stage::new(&store, backend, residency, &settings);
-    for job in jobs {
+    say(Done::Opened(Opened { scene_digest: digest, backend: stage.backend_info() }))?;
+    while let Some(job) = stage.next_job(jobs)? {
         let started = clock.now();
         let times = |io: IoCounts| WorkTimes { started, finished: clock.now(), io };
         match job {
             Job::Open { .. } => unreachable!("a session prepares once"),
-            Job::Foresee { camera } => stage.foresee(&camera),
+            Job::MakeFront { camera } => stage.make_front(&camera),
             Job::Occlude { frame, camera, occluders } => {
                 let counts = occlusion_representation::run(&mut stage, &camera, &occluders)?;
                 let times = times(stage.take_io());
                 say(Done::Occluded { frame, times, counts })?;
+                stage.foresee(frame, &camera, &occluders);
             }
             Job::Cull { frame, camera } => {
                 let mut part_said = Ok(());
+                let mut visible = Vec::new();
                 let counts = hardware_cull::run(&mut stage, &camera, |part| {
+                    visible.extend_from_slice(&part.visible);
                     if part_said.is_ok() {
                         part_said = say(Done::CulledPart { frame, part });
                     }
@@ -168,6 +166,7 @@ fn serve(
                 part_said?;
                 let times = times(stage.take_io());
                 say(Done::Culled { frame, times, counts })?;
+                stage.foresee(frame, &camera, &Arc::new(VisibleSet::from_sorted(visible)));
             }
             Job::Render { frame, camera, visible } => {
                 let audited = is_nth(frame, settings.audit_every);
@@ -187,6 +186,7 @@ fn serve(
                 // Loading for the audit's sake is not the role's.
                 stage.take_io();
                 say(Done::Rendered { frame, times, counts })?;
+                stage.foresee(frame, &camera, &visible);
             }
         }
     }

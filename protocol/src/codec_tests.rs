@@ -5,7 +5,7 @@ use crate::camera::Camera;
 use crate::id::{FrameIndex, Seat};
 use crate::message::{FailureKind, PeerAddress, Token, WIRE_VERSION};
 use crate::schedule::{Phase, Role};
-use crate::settings::{BackendChoice, Cull, PictureSize, RunSettings, Schedule};
+use crate::settings::{BackendChoice, Cull, PictureSize, Residency, RunSettings, Schedule};
 use crate::telemetry::{
     Audit, BackendInfo, CullCounts, DrawCounts, IoCounts, LinkBytes, PhaseReport, WorkReport,
 };
@@ -31,6 +31,9 @@ fn examples() -> Vec<Message> {
         frames: 120,
         audit_every: 1,
         items_every: 10,
+        memory: Some(64 << 20),
+        residency: Residency::Deadline,
+        prefetch: true,
         pictures_dir: Some("out".into()),
     };
     let peers = (0..3)
@@ -60,7 +63,7 @@ fn examples() -> Vec<Message> {
         sent_control: 12,
         io: IoCounts::default(),
         peak_rss: 13,
-        resident_bytes: 14,
+        peak_resident: 14,
     };
     vec![
         Message::Hello { version: WIRE_VERSION, token, peer_address: "[::1]:9".into(), pid: 77 },

@@ -9,7 +9,7 @@ use crate::visible::DeltaChunk;
 use serde::{Deserialize, Serialize};
 
 /// Version of the messages below; both ends must speak the same.
-pub const WIRE_VERSION: u32 = 1;
+pub const WIRE_VERSION: u32 = 2;
 
 /// Secret of one run: whoever does not know it is hung up on.
 #[derive(Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -55,6 +55,8 @@ pub enum FailureKind {
     Protocol,
     /// Wrong token, or another scene (77).
     NotAllowed,
+    /// A setting that this scene cannot be shown with (78).
+    Config,
 }
 
 /// A message, either way, on either kind of link.

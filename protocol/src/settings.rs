@@ -39,6 +39,17 @@ pub enum Schedule {
     Rotate,
 }
 
+/// What a frame promises where its geometry is not in memory yet.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Residency {
+    /// It waits: the picture is the one that all memory in the world would give, bit for bit.
+    #[default]
+    Exact,
+    /// It never waits: the nearest ancestor that is there stands in, and the error is logged.
+    Deadline,
+}
+
 /// Picture size in pixels, each side 1..=16384.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct PictureSize {
@@ -71,6 +82,13 @@ pub struct RunSettings {
     pub audit_every: u32,
     /// Count hlods with a visible pixel (item buffer) every n-th frame; 0 never.
     pub items_every: u32,
+    /// Most bytes a node takes for geometry and textures, buffers on their way included; none leaves
+    /// it to the node: an eighth of its machine's memory.
+    pub memory: Option<u64>,
+    /// What a frame promises where geometry is missing.
+    pub residency: Residency,
+    /// Geometry is read before it is needed.
+    pub prefetch: bool,
     /// Folder that receives `000000.png ...`; none writes no pictures.
     pub pictures_dir: Option<String>,
 }

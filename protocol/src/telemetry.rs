@@ -59,19 +59,44 @@ pub struct DrawCounts {
     pub audit: Option<Audit>,
     /// Time spent on audit, item buffer and the picture file, inside the phase but not in `work`.
     pub measuring_ns: Nanos,
+    /// What was not there.
+    pub missing: Missing,
 }
 
-/// Demand loading of geometry in one phase.
+/// Hlods whose geometry was not there when it was to be drawn.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+pub struct Missing {
+    /// Hlods that something coarser stood for (RVG), or that were left out as occluders (OR).
+    pub replaced: u32,
+    /// Hlods that nothing stood for: holes in the picture.
+    pub holes: u32,
+    /// Greatest error of what stood in, pixels.
+    pub error_px: f64,
+}
+
+/// Loading of geometry in one phase. A blob that several draws share counts once.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct IoCounts {
     /// Blobs needed that were already with the backend.
     pub hits: u64,
-    /// Blobs needed that had to be read.
+    /// Blobs needed that were not.
     pub misses: u64,
     /// Time waited for them.
     pub stall_ns: Nanos,
-    /// Bytes read.
+    /// Bytes read, prefetched ones included.
     pub bytes_read: u64,
+    /// Bytes read before they were needed.
+    pub prefetched: u64,
+    /// Of those, bytes needed later, counted when they are.
+    pub prefetched_used: u64,
+    /// Blobs needed that the drawing before did not need: the events of a front.
+    pub events: u64,
+    /// Of those, there in time.
+    pub events_foreseen: u64,
+    /// Bytes given up to make room.
+    pub evicted: u64,
+    /// Blobs that cannot be read.
+    pub faults: u64,
 }
 
 /// Bytes written to one peer's socket since the run began, framing and handshake included.
@@ -99,8 +124,8 @@ pub struct PhaseReport {
     pub io: IoCounts,
     /// Highest resident set size of the process so far, bytes.
     pub peak_rss: u64,
-    /// Geometry bytes held for the backend now.
-    pub resident_bytes: u64,
+    /// Most bytes of geometry and textures held so far, buffers on their way included.
+    pub peak_resident: u64,
 }
 
 /// One role's work on one frame.

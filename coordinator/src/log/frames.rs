@@ -3,7 +3,7 @@
 use crate::record::{PhaseRecord, RunRecord};
 use protocol::id::{FrameIndex, Seat};
 use protocol::schedule::{self, Role};
-use protocol::telemetry::{CullCounts, DrawCounts, Nanos, PhaseReport, WorkReport};
+use protocol::telemetry::{CullCounts, DrawCounts, Missing, Nanos, PhaseReport, WorkReport};
 use protocol::visible::entropy_bound_bits;
 use serde::Serialize;
 
@@ -69,6 +69,12 @@ pub struct FrameRow {
     pub triangles_occluders: u64,
     /// Pixels in which the audit's two pictures differ.
     pub differing_pixels: Option<u64>,
+    /// Hlods of the picture that something coarser stood for.
+    pub replaced: u32,
+    /// Hlods of the picture that nothing stood for.
+    pub holes: u32,
+    /// Greatest error of what stood in, pixels.
+    pub stand_in_error_px: f64,
     /// Blobs that were there when needed, all nodes.
     pub io_hits: u64,
     /// Blobs that had to be read, all nodes.
@@ -77,6 +83,18 @@ pub struct FrameRow {
     pub io_stall_ms: f64,
     /// Bytes read, all nodes.
     pub io_bytes_read: u64,
+    /// Of those, read before they were needed.
+    pub io_prefetched: u64,
+    /// Bytes read ahead that were needed for the first time, all nodes.
+    pub io_prefetched_used: u64,
+    /// Blobs needed that the drawing before had not needed, all nodes.
+    pub io_events: u64,
+    /// Of those, there in time.
+    pub io_events_foreseen: u64,
+    /// Bytes given up to make room, all nodes.
+    pub io_evicted: u64,
+    /// Blobs that turned out to be unreadable, all nodes.
+    pub io_faults: u64,
     /// Hash of the picture.
     pub picture_hash: String,
 }
@@ -161,6 +179,12 @@ fn row(lookup: &Lookup<'_>, frame: u32, hlods: u64) -> Option<FrameRow> {
         row.io_misses += io.misses;
         row.io_stall_ms = row.io_stall_ms.max(ms(io.stall_ns as i64));
         row.io_bytes_read += io.bytes_read;
+        row.io_prefetched += io.prefetched;
+        row.io_prefetched_used += io.prefetched_used;
+        row.io_events += io.events;
+        row.io_events_foreseen += io.events_foreseen;
+        row.io_evicted += io.evicted;
+        row.io_faults += io.faults;
     }
     Some(row)
 }
@@ -220,6 +244,8 @@ fn fill_counts(
     row.with_pixels = draw.hlods_with_pixels;
     row.source_triangles_in_frustum = cull.source_triangles_in_frustum;
     row.triangles_drawn = draw.triangles;
+    let Missing { replaced, holes, error_px } = draw.missing;
+    (row.replaced, row.holes, row.stand_in_error_px) = (replaced, holes, error_px);
     row.triangles_occluders = or.map_or(0, |or| or.triangles);
     row.differing_pixels = draw.audit.map(|audit| audit.differing_pixels);
     row.picture_hash = draw.picture_hash.map_or(String::new(), |hash| format!("{hash:016x}"));

@@ -79,6 +79,27 @@ pub fn html(summary: &Summary, rows: &[FrameRow], frames_dir: &Path) -> String {
                 curve("occluders", |r| r.triangles_occluders as f64),
             ],
         ),
+        plot(
+            "Geometry loaded, all nodes",
+            "bytes a frame",
+            &[
+                curve("read", |r| r.io_bytes_read as f64),
+                curve("of it, read ahead", |r| r.io_prefetched as f64),
+                curve("read ahead, needed first now", |r| r.io_prefetched_used as f64),
+                curve("given up", |r| r.io_evicted as f64),
+            ],
+        ),
+        plot(
+            "Meshes needed, all nodes",
+            "count",
+            &[curve("there", |r| r.io_hits as f64), curve("missing", |r| r.io_misses as f64)],
+        ),
+        plot("Waiting for geometry", "ms", &[curve("longest of any node", |r| r.io_stall_ms)]),
+        plot(
+            "Error of what stood in for missing geometry",
+            "pixels",
+            &[curve("greatest", |r| r.stand_in_error_px)],
+        ),
     ];
     let mut page = format!(
         "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\"><meta name=\"viewport\" content=\"width=device-width\">\

@@ -4,7 +4,7 @@ use super::SceneFacts;
 use super::frames::FrameRow;
 use super::stats::{Stats, mean};
 use crate::record::RunRecord;
-use protocol::settings::{Cull, PictureSize, Schedule};
+use protocol::settings::{Cull, PictureSize, Residency, Schedule};
 use serde::Serialize;
 
 /// The scene.
@@ -107,7 +107,20 @@ pub struct Audit {
     pub differing_pixels: u64,
 }
 
-/// Geometry loaded on demand, all nodes.
+/// What of the pictures was not there in time, or at all.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct StandIns {
+    /// Pictures with any.
+    pub frames: usize,
+    /// Hlods that something coarser stood for, all pictures.
+    pub replaced: u64,
+    /// Hlods that nothing stood for.
+    pub holes: u64,
+    /// Greatest error of what stood in, pixels.
+    pub error_px: f64,
+}
+
+/// Geometry loaded, all nodes. A blob that several draws share counts once a drawing.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Io {
     /// There when needed.
@@ -118,18 +131,28 @@ pub struct Io {
     pub stall_ms: f64,
     /// Bytes read.
     pub bytes_read: u64,
-    /// Read before needed.
+    /// Bytes read before they were needed.
     pub prefetched: u64,
     /// Of those, needed later.
     pub prefetched_used: u64,
+    /// Blobs needed that the drawing before had not needed.
+    pub events: u64,
+    /// Of those, there in time.
+    pub events_foreseen: u64,
+    /// Bytes given up to make room.
+    pub evicted: u64,
+    /// Blobs that cannot be read: something coarser was shown.
+    pub faults: u64,
+    /// Longest wait for geometry in one frame.
+    pub stall_ms_max: f64,
 }
 
 /// Bytes by process, in the order of `pids`.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Memory {
-    /// The cap the run was given; null without one.
+    /// The cap a process was given; null where it was left to the nodes.
     pub cap: Option<u64>,
-    /// Geometry held for the backend.
+    /// Geometry and textures held, buffers on their way included.
     pub peak_resident: Vec<u64>,
     /// Resident set size.
     pub peak_rss: Vec<u64>,
@@ -181,6 +204,10 @@ pub struct Summary {
     pub audit: Audit,
     /// Geometry loaded.
     pub io: Io,
+    /// What a frame promised where geometry was missing.
+    pub residency: Residency,
+    /// Geometry that was missing.
+    pub stand_ins: StandIns,
     /// Bytes by process.
     pub memory: Memory,
     /// Clocks by seat.
@@ -247,9 +274,16 @@ pub fn summarise(record: &RunRecord, scene: &SceneFacts, rows: &[FrameRow]) -> S
             misses: rows.iter().map(|row| row.io_misses).sum(),
             stall_ms: rows.iter().map(|row| row.io_stall_ms).sum(),
             bytes_read: rows.iter().map(|row| row.io_bytes_read).sum(),
-            prefetched: 0,
-            prefetched_used: 0,
+            prefetched: rows.iter().map(|row| row.io_prefetched).sum(),
+            prefetched_used: rows.iter().map(|row| row.io_prefetched_used).sum(),
+            events: rows.iter().map(|row| row.io_events).sum(),
+            events_foreseen: rows.iter().map(|row| row.io_events_foreseen).sum(),
+            evicted: rows.iter().map(|row| row.io_evicted).sum(),
+            faults: rows.iter().map(|row| row.io_faults).sum(),
+            stall_ms_max: rows.iter().map(|row| row.io_stall_ms).fold(0.0, f64::max),
         },
+        residency: record.settings.residency,
+        stand_ins: stand_ins(rows),
         memory: memory(record),
         clocks: clocks(record),
         pids: pids(record),
@@ -284,6 +318,15 @@ fn audit(rows: &[FrameRow]) -> Audit {
     }
 }
 
+fn stand_ins(rows: &[FrameRow]) -> StandIns {
+    StandIns {
+        frames: rows.iter().filter(|row| row.replaced + row.holes > 0).count(),
+        replaced: rows.iter().map(|row| u64::from(row.replaced)).sum(),
+        holes: rows.iter().map(|row| u64::from(row.holes)).sum(),
+        error_px: rows.iter().map(|row| row.stand_in_error_px).fold(0.0, f64::max),
+    }
+}
+
 fn memory(record: &RunRecord) -> Memory {
     let peak = |figure: fn(&protocol::telemetry::PhaseReport) -> u64| {
         let of_seat = |seat| {
@@ -293,15 +336,15 @@ fn memory(record: &RunRecord) -> Memory {
         let by_seat: Vec<u64> = record.nodes.iter().map(|node| of_seat(node.seat)).collect();
         by_seat
     };
-    let (resident, rss) = (peak(|report| report.resident_bytes), peak(|report| report.peak_rss));
+    let (resident, rss) = (peak(|report| report.peak_resident), peak(|report| report.peak_rss));
     match record.processes {
         // The three seats of one process share its resident set but hold geometry each.
         1 => Memory {
-            cap: None,
+            cap: record.settings.memory.map(|memory| memory * record.nodes.len() as u64),
             peak_resident: vec![resident.iter().sum()],
             peak_rss: rss.into_iter().max().into_iter().collect(),
         },
-        _ => Memory { cap: None, peak_resident: resident, peak_rss: rss },
+        _ => Memory { cap: record.settings.memory, peak_resident: resident, peak_rss: rss },
     }
 }
 

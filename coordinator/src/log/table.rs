@@ -76,6 +76,25 @@ pub fn table(summary: &Summary) -> String {
             frames => format!("{} differing pixels in {frames} frames", s.audit.differing_pixels),
         },
     );
+    let io = &s.io;
+    let mb = |bytes: u64| bytes as f64 / 1e6;
+    line(
+        "geometry",
+        format!(
+            "{} meshes there, {} missing, waited {:.1} ms; read {:.1} MB, {:.1} ahead, {:.1} of that used",
+            io.hits, io.misses, io.stall_ms, mb(io.bytes_read), mb(io.prefetched), mb(io.prefetched_used)
+        ),
+    );
+    let missing = &s.stand_ins;
+    if missing.frames > 0 {
+        line(
+            "not as it should be",
+            format!(
+                "{} frames: {} hlods replaced by coarser ones, {} holes, error up to {:.2} px",
+                missing.frames, missing.replaced, missing.holes, missing.error_px
+            ),
+        );
+    }
     let clocks: Vec<String> = s
         .clocks
         .iter()

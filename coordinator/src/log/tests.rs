@@ -6,9 +6,9 @@ use super::{SceneFacts, report, table, trace};
 use crate::record::{ClockEstimate, NodeRecord, PhaseRecord, RunRecord};
 use protocol::id::{FrameIndex, Seat};
 use protocol::schedule::{Phase, Role, SEATS, last_phase, receivers, role};
-use protocol::settings::{BackendChoice, Cull, PictureSize, RunSettings, Schedule};
+use protocol::settings::{BackendChoice, Cull, PictureSize, RunSettings, Schedule, Residency};
 use protocol::telemetry::{
-    Audit, BackendInfo, CullCounts, DrawCounts, IoCounts, LinkBytes, PhaseReport, WorkReport,
+    Audit, BackendInfo, CullCounts, DrawCounts, IoCounts, LinkBytes, Missing, PhaseReport, WorkReport,
 };
 
 const MS: u64 = 1_000_000;
@@ -31,6 +31,9 @@ fn record(schedule: Schedule, frames: u32) -> RunRecord {
         frames,
         audit_every: 2,
         items_every: 2,
+        memory: None,
+        residency: Residency::Exact,
+        prefetch: true,
         pictures_dir: None,
     };
     let node = |seat: Seat| NodeRecord {
@@ -95,6 +98,7 @@ fn report(
                 picture_hash: Some(u64::from(frame.0)),
                 audit: even_picture.then_some(Audit { differing_pixels: u64::from(frame.0) }),
                 measuring_ns: if even_picture { MS } else { 0 },
+                missing: Missing { replaced: frame.0, holes: 0, error_px: 0.5 },
             }),
         }
     });
@@ -103,9 +107,15 @@ fn report(
         work,
         sent: SEATS.map(|to| LinkBytes { to, bytes: sent[seat.index()][to.index()] }).to_vec(),
         sent_control: 100 * (phase.0 + 2) as u64,
-        io: IoCounts { hits: 2, misses: 1, stall_ns: MS, bytes_read: 10 },
+        io: IoCounts {
+            hits: 2,
+            misses: 1,
+            stall_ns: MS,
+            bytes_read: 10,
+            ..IoCounts::default()
+        },
         peak_rss: 1000 + u64::from(seat.0),
-        resident_bytes: 10,
+        peak_resident: 10,
     }
 }
 
@@ -176,6 +186,8 @@ fn the_summary_counts_what_was_measured_and_where() {
     assert_eq!((summary.bandwidth.ids_delta, summary.bandwidth.ids_full), (4.0, 120.0));
     assert_eq!(summary.triangles.source_in_frustum.mean, 9000.0);
     assert_eq!(summary.memory.peak_rss, [1000, 1001, 1002]);
+    let missing = &summary.stand_ins;
+    assert_eq!((missing.frames, missing.replaced, missing.error_px), (4, 10, 0.5));
     assert_eq!(summary.backend.name, "cpu");
 
     let one =

@@ -5,6 +5,7 @@ use super::interrupt::{During, Work};
 use super::say::{say, say_json};
 use ::bake::Options;
 use ::bake::progress::Bars;
+use coordinator::config::Bytes;
 use std::path::{Path, PathBuf};
 
 #[derive(Debug, clap::Args)]
@@ -22,8 +23,8 @@ pub(crate) struct Args {
     #[arg(long, value_name = "N")]
     jobs: Option<usize>,
     /// Memory to work in, such as 512MiB [default: 1GiB]
-    #[arg(long, value_name = "BYTES", value_parser = bytes)]
-    memory: Option<u64>,
+    #[arg(long, value_name = "BYTES")]
+    memory: Option<Bytes>,
     /// Seed of everything random
     #[arg(long)]
     seed: Option<u64>,
@@ -38,26 +39,10 @@ pub(crate) fn run(args: Args) -> Result<(), Failure> {
         None => Options::default(),
     };
     options.jobs = args.jobs.unwrap_or(options.jobs);
-    options.memory = args.memory.unwrap_or(options.memory);
+    options.memory = args.memory.map_or(options.memory, |memory| memory.0);
     options.seed = args.seed.unwrap_or(options.seed);
     let summary = bake_file(&args.inputs, &args.output, &options)?;
     if args.json { say_json(&summary) } else { say(summary) }
-}
-
-/// A number of bytes, with or without a unit.
-fn bytes(text: &str) -> Result<u64, String> {
-    let digits = text.find(|c: char| !c.is_ascii_digit()).unwrap_or(text.len());
-    let (number, unit) = text.split_at(digits);
-    let shift = match unit {
-        "" | "B" => 0,
-        "KiB" => 10,
-        "MiB" => 20,
-        "GiB" => 30,
-        "TiB" => 40,
-        _ => return Err("write bytes as 1048576, 64MiB or 1GiB".to_owned()),
-    };
-    let number: u64 = number.parse().map_err(|_| "write bytes as 64MiB or 1GiB".to_owned())?;
-    number.checked_mul(1 << shift).ok_or_else(|| "too many bytes".to_owned())
 }
 
 /// Bakes with progress bars on a terminal.

@@ -20,7 +20,7 @@ pub(crate) const IO: u8 = 74;
 pub(crate) const PROTOCOL: u8 = 76;
 /// A peer without the right, or with another scene.
 pub(crate) const NOT_ALLOWED: u8 = 77;
-/// A configuration file is wrong.
+/// A configuration file, or a setting for this scene, is wrong.
 pub(crate) const CONFIG: u8 = 78;
 
 /// The code the program leaves with, and what a person is told, unless another process tells it.
@@ -51,5 +51,6 @@ pub(crate) fn code_of(kind: FailureKind) -> u8 {
         FailureKind::Io => IO,
         FailureKind::Protocol => PROTOCOL,
         FailureKind::NotAllowed => NOT_ALLOWED,
+        FailureKind::Config => CONFIG,
     }
 }

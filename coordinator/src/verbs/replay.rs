@@ -7,12 +7,12 @@ use super::say::{say, say_json};
 use super::{path, scene_file};
 use anyhow::{Context, anyhow};
 use coordinator::camera_path::{self, PathKind, Pose};
-use coordinator::config::{Every, Pictures, PixelError, Processes, Rig, Size};
+use coordinator::config::{Bytes, Every, Pictures, PixelError, Processes, Rig, Size, Switch};
 use coordinator::log::summary::Summary;
 use coordinator::log::table::table;
 use coordinator::log::{SceneFacts, write_all};
 use coordinator::run::{self as rig_run, RunError, RunPlan};
-use protocol::settings::{BackendChoice, Cull, PictureSize, RunSettings, Schedule};
+use protocol::settings::{BackendChoice, Cull, PictureSize, Residency, RunSettings, Schedule};
 use scene::store::Store;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
@@ -70,6 +70,16 @@ pub(crate) struct RunOptions {
     /// png or off
     #[arg(long, env = "OCCLUSTER_PICTURES", value_parser = word::<Pictures>)]
     pub(super) pictures: Option<Pictures>,
+    /// Most memory for geometry and textures, for each process: 64MiB, 1GiB [default: an eighth of the
+    /// machine's for each node]
+    #[arg(long, value_name = "BYTES", env = "OCCLUSTER_MEMORY")]
+    pub(super) memory: Option<Bytes>,
+    /// exact: a frame waits for what it needs; deadline: never, something coarser stands in
+    #[arg(long, env = "OCCLUSTER_RESIDENCY", value_parser = word::<Residency>)]
+    pub(super) residency: Option<Residency>,
+    /// Read geometry before it is needed: on or off
+    #[arg(long, env = "OCCLUSTER_PREFETCH", value_parser = word::<Switch>)]
+    pub(super) prefetch: Option<Switch>,
     /// Show only the first N poses
     #[arg(long, value_name = "N", env = "OCCLUSTER_FRAMES", value_parser = clap::value_parser!(u32).range(1..))]
     pub(super) frames: Option<u32>,
@@ -82,11 +92,22 @@ pub(super) fn word<T: serde::de::DeserializeOwned>(text: &str) -> Result<T, Stri
 
 pub(crate) fn run(args: Args) -> Result<(), Failure> {
     let json = args.json;
+    let scene = args.scene.clone();
     let (summary, out) = replay(args)?;
     if json {
-        return say_json(&summary);
+        say_json(&summary)?;
+    } else {
+        say(with_places(table(&summary), out.as_deref()))?;
     }
-    say(with_places(table(&summary), out.as_deref()))
+    match summary.io.faults {
+        0 => Ok(()),
+        faults => Err(anyhow!(
+            "{}: {faults} meshes could not be read and something coarser was shown, see the warnings; \
+             copy or bake the file again",
+            scene.display()
+        ))
+        .or_exit(BAD_DATA),
+    }
 }
 
 /// The closing table and where the files are.
@@ -141,11 +162,11 @@ fn rig_of(args: &Args, rig: &Rig) -> Result<rig_run::Rig, Failure> {
     let processes = args.options.processes.or(rig.processes).map_or(3, |processes| processes.0);
     if processes == 1 {
         let threads = |controls, token| {
-            let failed = |error: ::node::NodeError| RunError::Failed {
+            let failed = |error: node::NodeError| RunError::Failed {
                 kind: error.kind,
                 reason: error.reason,
             };
-            ::node::run_in_process(controls, token).map_err(failed)
+            node::run_in_process(controls, token).map_err(failed)
         };
         return Ok(rig_run::Rig::Threads(Box::new(threads)));
     }
@@ -179,6 +200,11 @@ fn settings(args: &Args, rig: &Rig, store: &Store, frames: usize) -> Result<RunS
         let path = std::fs::canonicalize(path).with_context(name).or_exit(IO)?;
         Ok(path.to_string_lossy().into_owned())
     };
+    let residency = o.residency.or(rig.residency).unwrap_or_default();
+    // The three seats of one process share what it is given.
+    let seats = if o.processes.or(rig.processes).is_some_and(|count| count.0 == 1) { 3 } else { 1 };
+    let memory = o.memory.or(rig.memory).map(|Bytes(memory)| memory / seats);
+    node::check_memory(memory, store.skeleton(), residency).or_exit(CONFIG)?;
     Ok(RunSettings {
         scene_path: absolute(&args.scene)?,
         scene_digest: store.digest(),
@@ -190,6 +216,9 @@ fn settings(args: &Args, rig: &Rig, store: &Store, frames: usize) -> Result<RunS
         frames: frames as u32,
         audit_every: o.audit.or(rig.audit).map_or(0, |every| every.0),
         items_every: ITEMS_EVERY,
+        memory,
+        residency,
+        prefetch: o.prefetch.or(rig.prefetch) != Some(Switch::Off),
         pictures_dir: pictures_dir.as_deref().map(absolute).transpose()?,
     })
 }

@@ -8,8 +8,11 @@ mod fixture;
 pub mod front;
 pub mod occludee;
 pub mod occluders;
+pub mod prefetch;
 #[cfg(test)]
 mod random_scene;
+pub mod residency;
+pub mod stand_in;
 pub mod store;
 pub mod verify;
 pub mod view;

@@ -4,6 +4,7 @@
 use super::render_visible_geometry::Drawn;
 use super::{RoleError, Stage};
 use protocol::camera::Camera;
+use protocol::settings::Residency as Promise;
 use protocol::telemetry::Audit;
 use scene::backend::{Completion, NO_ITEM, Pass, Picture};
 
@@ -36,10 +37,9 @@ fn against_unculled(
     culled: &Picture,
 ) -> Result<Audit, RoleError> {
     let front = stage.front(camera);
-    let draws = stage.draws(camera, &front.entries)?;
-    let view = stage.view(camera);
-    let pass = Pass::Shade { view, draws, with_depth: true };
-    let Completion::Picture { picture: whole, .. } = stage.complete(pass)? else {
+    let pass = |view, draws, part| Pass::Shade { view, draws, with_depth: true, part };
+    let (completion, ..) = stage.draw(camera, &front.entries, Promise::Exact, pass)?;
+    let Completion::Picture { picture: whole, .. } = completion else {
         unreachable!("a picture answers as such")
     };
     Ok(Audit { differing_pixels: differing_pixels(culled, &whole) })
@@ -61,9 +61,12 @@ fn differing_pixels(a: &Picture, b: &Picture) -> u64 {
 }
 
 fn count_items(stage: &mut Stage<'_>, camera: &Camera, drawn: &Drawn) -> Result<u32, RoleError> {
-    let view = stage.view(camera);
-    let pass = Pass::Items { view, draws: drawn.draws.clone() };
-    let Completion::Items { mut items, blended, .. } = stage.complete(pass)? else {
+    let pass = |view, draws, part| Pass::Items { view, draws, part };
+    let Some(completion) = stage.draw_list(camera, &drawn.draws, pass)? else {
+        // A mesh cannot be read any more: the next picture shows something else.
+        return Ok(drawn.counts.hlods);
+    };
+    let Completion::Items { mut items, blended, .. } = completion else {
         unreachable!("items answer as such")
     };
     items.extend(blended);

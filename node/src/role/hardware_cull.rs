@@ -75,7 +75,7 @@ fn split(stage: &Stage<'_>, camera: &Camera, entries: &[FrontEntry]) -> (Vec<boo
         if stage.settings.cull == Cull::Off {
             return false;
         }
-        let hlod = stage.store.skeleton().hlod(entry.hlod);
+        let hlod = stage.skeleton.hlod(entry.hlod);
         match test_for(hlod, camera, stage.settings.size, &stage.rules) {
             Test::Visible => false,
             Test::Query(query) => {

@@ -8,16 +8,19 @@ pub(crate) mod render_visible_geometry;
 #[cfg(test)]
 mod tests;
 
-use crate::resident::Residency;
+use crate::resident::{Drawn, Loader};
 use protocol::camera::Camera;
-use protocol::id::HlodId;
-use protocol::settings::RunSettings;
-use protocol::telemetry::IoCounts;
-use scene::backend::{Backend, BackendError, Completion, Draw, Pass, View};
-use scene::draw_list::draw_list;
+use protocol::format::Skeleton;
+use protocol::id::{FrameIndex, HlodId};
+use protocol::settings::{Residency as Promise, RunSettings};
+use protocol::telemetry::{BackendInfo, IoCounts, Missing};
+use protocol::visible::VisibleSet;
+use scene::backend::{Backend, BackendError, Completion, Part, Pass, View};
+use scene::draw_list::{Draws, draw_list};
 use scene::front::{Front, FrontEntry, front};
 use scene::occludee::Rules;
-use scene::store::{Store, StoreError};
+use scene::stand_in::{Available, available};
+use scene::store::StoreError;
 use std::sync::Arc;
 
 /// Why a role cannot do its work.
@@ -26,9 +29,15 @@ pub(crate) enum RoleError {
     /// The renderer gave up.
     #[error(transparent)]
     Backend(#[from] BackendError),
-    /// Geometry cannot be read.
+    /// A texture cannot be read.
     #[error(transparent)]
-    Geometry(#[from] StoreError),
+    Texture(#[from] StoreError),
+    /// They do not fit.
+    #[error("the textures take more than --memory allows; raise it")]
+    Textures,
+    /// The I/O thread broke down.
+    #[error("the I/O thread broke down; see its message above")]
+    IoThread,
     /// V_i names what this node's own front does not have.
     #[error(
         "hlod {0} of the visible set is not on this node's front: do all nodes run one version?"
@@ -38,9 +47,9 @@ pub(crate) enum RoleError {
 
 /// What roles work on: one scene, one backend, and what is remembered between phases.
 pub(crate) struct Stage<'a> {
-    store: &'a Store,
+    skeleton: Arc<Skeleton>,
     backend: Box<dyn Backend>,
-    residency: Residency,
+    loader: Loader,
     settings: &'a RunSettings,
     rules: Rules,
     /// The last front made. A seat culls a frame right after it made the frame's depth, so one is enough.
@@ -48,18 +57,23 @@ pub(crate) struct Stage<'a> {
 }
 
 impl<'a> Stage<'a> {
-    /// A stage on which nothing is loaded.
+    /// A stage on which nothing is drawn yet.
     pub(crate) fn new(
-        store: &'a Store,
+        skeleton: Arc<Skeleton>,
         backend: Box<dyn Backend>,
-        residency: Residency,
+        loader: Loader,
         settings: &'a RunSettings,
     ) -> Self {
-        Self { store, backend, residency, settings, rules: Rules::default(), front: None }
+        Self { skeleton, backend, loader, settings, rules: Rules::default(), front: None }
+    }
+
+    /// The renderer.
+    pub(crate) fn backend_info(&self) -> BackendInfo {
+        self.backend.info()
     }
 
     /// Makes the front of `camera` unless it is the last one made.
-    pub(crate) fn foresee(&mut self, camera: &Camera) {
+    pub(crate) fn make_front(&mut self, camera: &Camera) {
         self.front(camera);
     }
 
@@ -69,7 +83,7 @@ impl<'a> Stage<'a> {
             Some((of, front)) if of == camera => Arc::clone(front),
             _ => {
                 let RunSettings { size, lod_px, .. } = *self.settings;
-                let made = Arc::new(front(self.store.skeleton(), camera, size, lod_px));
+                let made = Arc::new(front(&self.skeleton, camera, size, lod_px));
                 self.front = Some((*camera, Arc::clone(&made)));
                 made
             }
@@ -80,33 +94,101 @@ impl<'a> Stage<'a> {
         View::new(camera, self.settings.size)
     }
 
-    /// Draws for `entries` in their order, their geometry with the backend.
-    fn draws(&mut self, camera: &Camera, entries: &[FrontEntry]) -> Result<Vec<Draw>, RoleError> {
-        let draws = draw_list(self.store.skeleton(), entries, camera.eye);
-        self.residency.ensure(self.store, self.backend.as_mut(), &draws)?;
-        Ok(draws)
+    /// What `promise` lets be drawn of `entries` now.
+    fn available(
+        &self,
+        camera: &Camera,
+        entries: &[FrontEntry],
+        promise: Promise,
+    ) -> Available {
+        let is_there = |level| self.loader.offers(level, promise);
+        available(&self.skeleton, entries, camera, self.settings.size, is_there)
     }
 
-    /// Triangles of `entries` at their levels.
-    fn triangles(&self, entries: &[FrontEntry]) -> u64 {
-        let levels = &self.store.skeleton().levels;
-        entries.iter().map(|entry| u64::from(levels[entry.level as usize].triangles)).sum()
+    /// Draws `entries`, or what stands in for them, and waits for what comes of it. `pass` makes a pass
+    /// of a part of the list.
+    fn draw(
+        &mut self,
+        camera: &Camera,
+        entries: &[FrontEntry],
+        promise: Promise,
+        pass: impl Fn(View, Draws, Part) -> Pass,
+    ) -> Result<(Completion, Available, Draws), RoleError> {
+        if promise == Promise::Deadline {
+            self.loader.order_missing(entries);
+        }
+        loop {
+            let shown = self.available(camera, entries, promise);
+            let draws = draw_list(&self.skeleton, &shown.entries, camera.eye);
+            if let Some(completion) = self.draw_list(camera, &draws, &pass)? {
+                return Ok((completion, shown, draws));
+            }
+        }
     }
 
-    /// Runs a pass that is answered at once, with nothing else under way.
-    fn complete(&mut self, pass: Pass) -> Result<Completion, RoleError> {
-        self.backend.submit(pass)?;
+    /// Draws a list; none where a mesh turned out to be unreadable.
+    fn draw_list(
+        &mut self,
+        camera: &Camera,
+        draws: &Draws,
+        pass: impl Fn(View, Draws, Part) -> Pass,
+    ) -> Result<Option<Completion>, RoleError> {
+        let view = self.view(camera);
+        let drawn = self.loader.stream(self.backend.as_mut(), draws, |backend, draws, part| {
+            backend.submit(pass(view, draws, part))?;
+            Ok(())
+        })?;
+        if drawn == Drawn::Lost {
+            return Ok(None);
+        }
         let mut completions = Vec::new();
         while completions.is_empty() {
             self.backend.poll(&mut completions)?;
         }
         assert_eq!(completions.len(), 1, "one pass, one answer");
-        Ok(completions.remove(0))
+        Ok(completions.pop())
     }
 
-    /// Demand loading since the last call.
+    /// Triangles of `entries` at their levels.
+    fn triangles(&self, entries: &[FrontEntry]) -> u64 {
+        let levels = &self.skeleton.levels;
+        entries.iter().map(|entry| u64::from(levels[entry.level as usize].triangles)).sum()
+    }
+
+    /// Begins the work of a phase that draws.
+    fn begin_drawing(&mut self) -> Result<(), RoleError> {
+        self.loader.begin_drawing();
+        self.loader.take_in_all(self.backend.as_mut())
+    }
+
+    /// Has read ahead what the end of a phase lets expect.
+    pub(crate) fn foresee(
+        &mut self,
+        frame: FrameIndex,
+        camera: &Camera,
+        visible: &Arc<VisibleSet>,
+    ) {
+        self.loader.foresee(frame, camera, visible);
+    }
+
+    /// The next job; geometry that was read ahead is taken in meanwhile. None once there are no more.
+    pub(crate) fn next_job<J>(
+        &mut self,
+        jobs: &crossbeam_channel::Receiver<J>,
+    ) -> Result<Option<J>, RoleError> {
+        self.loader.take_in_until(self.backend.as_mut(), jobs)
+    }
+
+    /// Loading since the last call.
     pub(crate) fn take_io(&mut self) -> IoCounts {
-        self.residency.take_counts()
+        self.loader.take_counts()
+    }
+}
+
+impl From<&Available> for Missing {
+    fn from(shown: &Available) -> Self {
+        let Available { replaced, holes, error_px, .. } = *shown;
+        Self { replaced, holes, error_px }
     }
 }
 

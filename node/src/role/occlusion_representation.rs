@@ -4,10 +4,13 @@
 
 use super::{RoleError, Stage};
 use protocol::camera::Camera;
-use protocol::settings::Cull;
+use protocol::settings::{Cull, Residency as Promise};
 use protocol::telemetry::DrawCounts;
 use protocol::visible::VisibleSet;
+use protocol::telemetry::Missing;
 use scene::backend::{Completion, Pass};
+use scene::draw_list::{Draws, draw_list};
+use scene::front::FrontEntry;
 use scene::occluders::map_onto_front;
 
 /// Renders the occluders' depth and waits until it is made. Without culling nobody asks for it.
@@ -19,15 +22,30 @@ pub(crate) fn run(
     if stage.settings.cull == Cull::Off {
         return Ok(DrawCounts::default());
     }
+    stage.begin_drawing()?;
     let front = stage.front(camera);
-    let entries = map_onto_front(stage.store.skeleton(), previous, &front);
-    let draws = stage.draws(camera, &entries)?;
-    let view = stage.view(camera);
-    let completion = stage.complete(Pass::Occluders { view, draws })?;
-    assert!(matches!(completion, Completion::Occluders { .. }), "occluders answer as such");
-    Ok(DrawCounts {
-        hlods: entries.len() as u32,
-        triangles: stage.triangles(&entries),
-        ..DrawCounts::default()
-    })
+    let wanted = map_onto_front(&stage.skeleton, previous, &front);
+    let promise = stage.settings.residency;
+    if promise == Promise::Deadline {
+        stage.loader.order_missing(&wanted);
+    }
+    // What is not there is left out: less is culled, and never too much.
+    loop {
+        let offered = |entry: &&FrontEntry| stage.loader.offers(entry.level, promise);
+        let entries: Vec<FrontEntry> = wanted.iter().filter(offered).copied().collect();
+        let draws = draw_list(&stage.skeleton, &entries, camera.eye);
+        let pass = |view, draws: Draws, part| Pass::Occluders { view, draws: draws.solid, part };
+        let Some(completion) = stage.draw_list(camera, &Draws { blending: vec![], ..draws }, pass)?
+        else {
+            continue;
+        };
+        assert!(matches!(completion, Completion::Occluders { .. }), "occluders answer as such");
+        let replaced = (wanted.len() - entries.len()) as u32;
+        return Ok(DrawCounts {
+            hlods: entries.len() as u32,
+            triangles: stage.triangles(&entries),
+            missing: Missing { replaced, ..Missing::default() },
+            ..DrawCounts::default()
+        });
+    }
 }

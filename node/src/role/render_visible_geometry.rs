@@ -3,9 +3,10 @@
 use super::{RoleError, Stage};
 use protocol::camera::Camera;
 use protocol::id::HlodId;
-use protocol::telemetry::DrawCounts;
+use protocol::telemetry::{DrawCounts, Missing};
 use protocol::visible::VisibleSet;
-use scene::backend::{Completion, Draw, Pass, Picture};
+use scene::backend::{Completion, Pass, Picture};
+use scene::draw_list::Draws;
 use scene::front::{Front, FrontEntry};
 
 /// A frame that was drawn.
@@ -15,27 +16,29 @@ pub(crate) struct Drawn {
     /// The picture.
     pub(crate) picture: Picture,
     /// The draws it is made of.
-    pub(crate) draws: Vec<Draw>,
+    pub(crate) draws: Draws,
 }
 
-/// Draws V_i at the levels of this camera's own front.
+/// Draws V_i at the levels of this camera's own front, or what stands in for what is not there.
 pub(crate) fn run(
     stage: &mut Stage<'_>,
     camera: &Camera,
     visible: &VisibleSet,
     with_depth: bool,
 ) -> Result<Drawn, RoleError> {
+    stage.begin_drawing()?;
     let front = stage.front(camera);
     let entries = entries_of(&front, visible.ids())?;
-    let draws = stage.draws(camera, &entries)?;
-    let view = stage.view(camera);
-    let pass = Pass::Shade { view, draws: draws.clone(), with_depth };
-    let Completion::Picture { picture, .. } = stage.complete(pass)? else {
+    let pass = |view, draws, part| Pass::Shade { view, draws, with_depth, part };
+    let promise = stage.settings.residency;
+    let (completion, shown, draws) = stage.draw(camera, &entries, promise, pass)?;
+    let Completion::Picture { picture, .. } = completion else {
         unreachable!("a picture answers as such")
     };
     let counts = DrawCounts {
-        hlods: entries.len() as u32,
-        triangles: stage.triangles(&entries),
+        hlods: shown.entries.len() as u32,
+        triangles: stage.triangles(&shown.entries),
+        missing: Missing::from(&shown),
         ..DrawCounts::default()
     };
     Ok(Drawn { counts, picture, draws })

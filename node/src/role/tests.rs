@@ -3,7 +3,7 @@
 use super::audit::measure;
 use super::*;
 use crate::fixture::{Piece, street, write};
-use protocol::settings::{BackendChoice, Cull, PictureSize, Schedule};
+use protocol::settings::{BackendChoice, Cull, PictureSize, Schedule, Residency};
 use protocol::telemetry::CullCounts;
 use protocol::visible::VisibleSet;
 use scene::backend::cpu::CpuBackend;
@@ -24,6 +24,9 @@ fn settings(cull: Cull) -> RunSettings {
         frames: 0,
         audit_every: 0,
         items_every: 0,
+        memory: None,
+        residency: Residency::Exact,
+        prefetch: true,
         pictures_dir: None,
     }
 }

@@ -111,7 +111,7 @@ pub struct ProcessState {
     /// Highest resident set size so far.
     pub peak_rss: u64,
     /// Geometry bytes held for the backend.
-    pub resident_bytes: u64,
+    pub peak_resident: u64,
 }
 
 impl std::fmt::Display for Peer {
@@ -407,7 +407,7 @@ impl Node {
             sent_control: self.process.sent_control,
             io,
             peak_rss: self.process.peak_rss,
-            resident_bytes: self.process.resident_bytes,
+            peak_resident: self.process.peak_resident,
         };
         self.send(Peer::Coordinator, Message::PhaseDone(report));
     }

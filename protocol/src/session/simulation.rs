@@ -13,7 +13,7 @@ use crate::codec::{Decoder, encode};
 use crate::id::{FrameIndex, HlodId, Seat};
 use crate::message::{FailureKind, Message, Token};
 use crate::schedule;
-use crate::settings::{BackendChoice, Cull, PictureSize, RunSettings, Schedule};
+use crate::settings::{BackendChoice, Cull, PictureSize, RunSettings, Schedule, Residency};
 use crate::telemetry::{BackendInfo, CullCounts, DrawCounts, Nanos};
 use crate::visible::VisibleSet;
 use rand::rngs::StdRng;
@@ -113,6 +113,9 @@ impl Simulation {
             frames,
             audit_every: 0,
             items_every: 0,
+            memory: None,
+            residency: Residency::Exact,
+            prefetch: true,
             pictures_dir: None,
         };
         let look = |i: u32| {

@@ -1,7 +1,7 @@
 //! Who is let in, and what ends a run.
 
 use super::*;
-use crate::settings::{BackendChoice, Cull, PictureSize, Schedule};
+use crate::settings::{BackendChoice, Cull, PictureSize, Schedule, Residency};
 
 const TOKEN: Token = Token([4; 32]);
 
@@ -17,6 +17,9 @@ fn coordinator() -> Coordinator {
         frames: 1,
         audit_every: 0,
         items_every: 0,
+        memory: None,
+        residency: Residency::Exact,
+        prefetch: true,
         pictures_dir: None,
     };
     let camera = Camera::look_at([0.0; 3], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0], 60.0, 0.1).unwrap();

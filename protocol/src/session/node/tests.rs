@@ -1,7 +1,7 @@
 //! What a node refuses, and that nothing a peer says makes it panic.
 
 use super::*;
-use crate::settings::{BackendChoice, Cull, PictureSize, Schedule};
+use crate::settings::{BackendChoice, Cull, PictureSize, Schedule, Residency};
 use proptest::prelude::*;
 
 const DIGEST: [u8; 32] = [1; 32];
@@ -18,6 +18,9 @@ fn welcome(seat: u8, schedule: Schedule) -> Message {
         frames: 4,
         audit_every: 0,
         items_every: 0,
+        memory: None,
+        residency: Residency::Exact,
+        prefetch: true,
         pictures_dir: None,
     };
     let peers = (0..3).map(|i| PeerAddress { seat: Seat(i), address: "h:1".into() }).collect();

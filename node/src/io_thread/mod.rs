@@ -1,0 +1,300 @@
+//! The I/O thread (paper 004, section 5.5): reads geometry beside the render loop.
+//!
+//! In the paper's stages: until a fetch command comes it reads what the last forecast names (stage I);
+//! then what the frame lacks, L_O, while the render side draws L_I (stage II); then what the next
+//! forecast names (stage III). It alone touches the map of the file.
+
+pub(crate) mod pool;
+#[cfg(test)]
+mod tests;
+
+use crossbeam_channel::{Receiver, Sender, TryRecvError, bounded, select};
+use pool::{Buffer, Pool};
+use protocol::format::Skeleton;
+use protocol::id::BlobId;
+use scene::prefetch::{Forecaster, Outlook};
+use scene::store::{Store, StoreError};
+use std::collections::VecDeque;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+/// Orders that may wait: a frame gives two, and waits for one of them.
+const ORDERS: usize = 8;
+/// Blobs that may wait to be taken in.
+const ARRIVALS: usize = 64;
+
+/// Where blobs come from.
+pub(crate) trait Source: Send {
+    /// Reads and checks a blob; `out` has its length.
+    fn read(&self, blob: BlobId, out: &mut [u8]) -> Result<(), StoreError>;
+}
+
+impl Source for Arc<Store> {
+    fn read(&self, blob: BlobId, out: &mut [u8]) -> Result<(), StoreError> {
+        self.read_blob(blob, out)
+    }
+}
+
+/// What the render side wants.
+#[derive(Debug)]
+pub(crate) enum Order {
+    /// The fetch command: these in this order, before anything else.
+    Fetch(Vec<BlobId>),
+    /// Read ahead what is likely to be needed next.
+    Foresee {
+        /// What the forecast is made from.
+        outlook: Outlook,
+        /// What the present drawing uses.
+        in_use: Vec<BlobId>,
+        /// Bytes beside that.
+        room: u64,
+    },
+    /// The scene fits: everything.
+    Everything,
+}
+
+/// A blob that was read, or could not be.
+#[derive(Debug)]
+pub(crate) struct Arrival {
+    pub(crate) blob: BlobId,
+    pub(crate) bytes: Result<Buffer, StoreError>,
+    /// Nobody has fetched it.
+    pub(crate) foreseen: bool,
+}
+
+/// A bit a blob, for both sides to see.
+#[derive(Debug)]
+pub(crate) struct Marks(Vec<AtomicU64>);
+
+impl Marks {
+    fn new(blobs: usize) -> Self {
+        Self(std::iter::repeat_with(AtomicU64::default).take(blobs.div_ceil(64)).collect())
+    }
+
+    fn word(&self, blob: BlobId) -> (&AtomicU64, u64) {
+        (&self.0[blob.index() / 64], 1 << (blob.index() % 64))
+    }
+
+    /// Whether it is set.
+    pub(crate) fn has(&self, blob: BlobId) -> bool {
+        let (word, bit) = self.word(blob);
+        word.load(Ordering::Acquire) & bit != 0
+    }
+
+    /// Sets it; whether that is new.
+    fn set(&self, blob: BlobId) -> bool {
+        let (word, bit) = self.word(blob);
+        word.fetch_or(bit, Ordering::AcqRel) & bit == 0
+    }
+
+    /// Takes it back.
+    pub(crate) fn clear(&self, blob: BlobId) {
+        let (word, bit) = self.word(blob);
+        word.fetch_and(!bit, Ordering::AcqRel);
+    }
+
+    fn clear_all(&self) {
+        self.0.iter().for_each(|word| word.store(0, Ordering::Release));
+    }
+}
+
+/// The render side's end.
+#[derive(Debug)]
+pub(crate) struct IoThread {
+    orders: Sender<Order>,
+    pub(crate) arrivals: Receiver<Arrival>,
+    /// With the backend or on its way there: set by the thread before it reads a blob, taken back by
+    /// the render side when it gives one up, which may then be read again.
+    pub(crate) claims: Arc<Marks>,
+    /// In the present forecast: better kept than others.
+    pub(crate) likely: Arc<Marks>,
+    pub(crate) pool: Pool,
+}
+
+impl IoThread {
+    /// Starts the thread, which ends when this is dropped. Buffers take at most `cap` bytes.
+    pub(crate) fn start(
+        source: impl Source + 'static,
+        skeleton: Arc<Skeleton>,
+        forecaster: Forecaster,
+        cap: u64,
+    ) -> std::io::Result<Self> {
+        let (orders, inbox) = bounded(ORDERS);
+        let (outbox, arrivals) = bounded(ARRIVALS);
+        let (pool, returned) = Pool::new(cap);
+        let marks = || Arc::new(Marks::new(skeleton.blobs.len()));
+        let (claims, likely) = (marks(), marks());
+        let reader = Reader {
+            source,
+            skeleton,
+            forecaster,
+            orders: inbox,
+            arrivals: outbox,
+            returned,
+            pool: pool.clone(),
+            claims: Arc::clone(&claims),
+            likely: Arc::clone(&likely),
+            fetched: VecDeque::new(),
+            ahead: VecDeque::new(),
+            room: 0,
+        };
+        std::thread::Builder::new().name("io".to_owned()).spawn(move || reader.run())?;
+        Ok(Self { orders, arrivals, claims, likely, pool })
+    }
+
+    /// Gives a fetch command.
+    pub(crate) fn fetch(&self, blobs: Vec<BlobId>) {
+        // The thread takes orders even while it waits to hand something over, so this ends. One that
+        // broke down has said so; the frame that waits for it finds the channel closed.
+        let _ = self.orders.send(Order::Fetch(blobs));
+    }
+
+    /// Says what to read ahead. An order that finds the queue full is dropped: the next is newer.
+    pub(crate) fn foresee(&self, order: Order) {
+        let _ = self.orders.try_send(order);
+    }
+}
+
+/// The thread's own side.
+struct Reader<S> {
+    source: S,
+    skeleton: Arc<Skeleton>,
+    forecaster: Forecaster,
+    orders: Receiver<Order>,
+    arrivals: Sender<Arrival>,
+    returned: Receiver<()>,
+    pool: Pool,
+    claims: Arc<Marks>,
+    likely: Arc<Marks>,
+    /// L_O.
+    fetched: VecDeque<BlobId>,
+    /// To be read ahead.
+    ahead: VecDeque<BlobId>,
+    /// Bytes that the forecast may still take.
+    room: u64,
+}
+
+/// The render side is gone.
+struct Gone;
+
+impl<S: Source> Reader<S> {
+    fn run(mut self) {
+        while self.step().is_ok() {}
+    }
+
+    /// Takes all orders, then reads one blob.
+    fn step(&mut self) -> Result<(), Gone> {
+        loop {
+            match self.orders.try_recv() {
+                Ok(order) => self.take(order),
+                Err(TryRecvError::Empty) => break,
+                Err(TryRecvError::Disconnected) => return Err(Gone),
+            }
+        }
+        let Some((blob, foreseen)) = self.next() else {
+            let order = self.orders.recv().map_err(|_| Gone)?;
+            self.take(order);
+            return Ok(());
+        };
+        let length = self.skeleton.blob(blob).bytes;
+        let Some(mut buffer) = self.pool.take(length as usize) else {
+            let back = if foreseen { &mut self.ahead } else { &mut self.fetched };
+            back.push_front(blob);
+            let orders = self.orders.clone();
+            select! {
+                recv(orders) -> order => self.take(order.map_err(|_| Gone)?),
+                recv(self.returned) -> _ => {}
+            }
+            return Ok(());
+        };
+        if !self.claims.set(blob) {
+            return Ok(());
+        }
+        let bytes = self.source.read(blob, &mut buffer).map(|()| buffer);
+        self.hand_over(Arrival { blob, bytes, foreseen })
+    }
+
+    fn take(&mut self, order: Order) {
+        match order {
+            Order::Fetch(blobs) => self.fetched.extend(blobs),
+            Order::Foresee { outlook, in_use, room } => {
+                self.ahead.clear();
+                self.likely.clear_all();
+                in_use.into_iter().for_each(|blob| _ = self.likely.set(blob));
+                self.room = room;
+                self.forecaster.begin(outlook);
+            }
+            Order::Everything => {
+                self.ahead = (0..self.skeleton.blobs.len() as u32).map(BlobId).collect();
+            }
+        }
+    }
+
+    /// The next blob to read that is not claimed; whether it is read ahead.
+    fn next(&mut self) -> Option<(BlobId, bool)> {
+        while let Some(blob) = self.fetched.pop_front() {
+            if !self.claims.has(blob) {
+                return Some((blob, false));
+            }
+        }
+        loop {
+            while let Some(blob) = self.ahead.pop_front() {
+                if !self.claims.has(blob) {
+                    return Some((blob, true));
+                }
+            }
+            if self.room == 0 || !self.orders.is_empty() {
+                return None;
+            }
+            let (_, levels) = self.forecaster.next_levels()?;
+            levels.into_iter().for_each(|level| self.expect(level));
+        }
+    }
+
+    /// Marks the blobs of a level as likely to be needed, and has read those that are not there, as
+    /// long as there is room for all that is likely.
+    fn expect(&mut self, level: u32) {
+        let level = &self.skeleton.levels[level as usize];
+        for part in self.skeleton.parts_of(level) {
+            let blob = BlobId(part.blob);
+            let length = self.skeleton.blob(blob).bytes;
+            if self.likely.has(blob) {
+                continue;
+            }
+            if length > self.room {
+                // What comes after is needed less.
+                self.room = 0;
+                return;
+            }
+            self.room -= length;
+            self.likely.set(blob);
+            self.ahead.push_back(blob);
+        }
+    }
+
+    fn hand_over(&mut self, arrival: Arrival) -> Result<(), Gone> {
+        let mut arrival = Some(arrival);
+        let (outbox, orders) = (self.arrivals.clone(), self.orders.clone());
+        loop {
+            if let Err(refused) = outbox.try_send(arrival.take().expect("kept until it is sent")) {
+                if refused.is_disconnected() {
+                    return Err(Gone);
+                }
+                arrival = Some(refused.into_inner());
+            } else {
+                return Ok(());
+            }
+            // Full: wait for room or for an order, whichever comes first. Orders must be taken, or
+            // both sides could wait for each other.
+            let mut waiting = crossbeam_channel::Select::new();
+            waiting.send(&outbox);
+            waiting.recv(&orders);
+            waiting.ready();
+            match orders.try_recv() {
+                Ok(order) => self.take(order),
+                Err(TryRecvError::Empty) => {}
+                Err(TryRecvError::Disconnected) => return Err(Gone),
+            }
+        }
+    }
+}

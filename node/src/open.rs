@@ -1,0 +1,90 @@
+//! Opens a scene on a node: file, renderer, memory, I/O thread.
+
+use crate::NodeError;
+use crate::budget::{self, TooSmall};
+use crate::choose::choose_backend;
+use crate::io_thread::IoThread;
+use crate::resident::Loader;
+use crate::role::{RoleError, Stage};
+use protocol::format::Skeleton;
+use protocol::message::FailureKind;
+use protocol::settings::{Residency as Promise, RunSettings};
+use scene::backend::{Backend, Upload};
+use scene::front::FrontEntry;
+use scene::prefetch::Forecaster;
+use scene::stand_in::coarsest_cut;
+use scene::store::Store;
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::AtomicU64;
+
+/// An opened scene: what its file claims to be, and the stage.
+pub(crate) struct Scene<'a> {
+    pub(crate) digest: [u8; 32],
+    pub(crate) stage: Stage<'a>,
+}
+
+/// Opens what `settings` name. `peak` follows the most bytes of geometry held.
+pub(crate) fn open<'a>(
+    settings: &'a RunSettings,
+    peak: &Arc<AtomicU64>,
+) -> Result<Scene<'a>, NodeError> {
+    let store = Arc::new(Store::open(Path::new(&settings.scene_path))?);
+    let skeleton = Arc::clone(store.skeleton());
+    let always = always(&skeleton, settings.residency);
+    let memory = settings.memory.unwrap_or_else(budget::by_itself);
+    let budget = budget::share_out(memory, &skeleton, &always)?;
+    let mut backend = choose_backend(settings.backend, settings.size)?;
+    backend.set_budget(budget.device);
+    upload_textures(&store, backend.as_mut())?;
+    let forecaster = Forecaster::new(Arc::clone(&skeleton), settings.size, settings.lod_px);
+    let digest = store.digest();
+    let io = IoThread::start(store, Arc::clone(&skeleton), forecaster, budget.host)
+        .map_err(|error| {
+            let reason = format!("cannot start the I/O thread: {error}");
+            NodeError::new(FailureKind::Unavailable, reason)
+        })?;
+    let (promise, prefetch) = (settings.residency, settings.prefetch);
+    let mut loader =
+        Loader::new(Arc::clone(&skeleton), io, budget, promise, prefetch, Arc::clone(peak));
+    loader.load_for_good(backend.as_mut(), &always)?;
+    Ok(Scene { digest, stage: Stage::new(skeleton, backend, loader, settings) })
+}
+
+/// Whether `memory` bytes a node suffice for a scene.
+pub fn check_memory(
+    memory: Option<u64>,
+    skeleton: &Skeleton,
+    promise: Promise,
+) -> Result<(), TooSmall> {
+    let memory = memory.unwrap_or_else(budget::by_itself);
+    budget::share_out(memory, skeleton, &always(skeleton, promise)).map(drop)
+}
+
+/// What stays from the start: in `deadline` something must always be there to stand in.
+fn always(skeleton: &Skeleton, promise: Promise) -> Vec<FrontEntry> {
+    match promise {
+        Promise::Exact => Vec::new(),
+        Promise::Deadline => coarsest_cut(skeleton),
+    }
+}
+
+/// Textures come at once and stay.
+fn upload_textures(store: &Store, backend: &mut dyn Backend) -> Result<(), RoleError> {
+    let records = &store.skeleton().textures;
+    if records.is_empty() {
+        return Ok(());
+    }
+    let mut bytes: Vec<Vec<u8>> = Vec::with_capacity(records.len());
+    for (index, record) in (0..).zip(records) {
+        let mut mips = vec![0; record.bytes as usize];
+        store.read_texture(index, &mut mips)?;
+        bytes.push(mips);
+    }
+    let textures: Vec<_> =
+        records.iter().zip(&bytes).map(|(record, mips)| (*record, &mips[..])).collect();
+    match backend.upload_textures(&textures)? {
+        Upload::Done => Ok(()),
+        Upload::Full => Err(RoleError::Textures),
+    }
+}

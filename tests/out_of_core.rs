@@ -1,0 +1,140 @@
+//! Memory is an input: under any cap the pictures are those of all memory, and the cap holds.
+
+#![allow(clippy::unwrap_used, reason = "a test stops where something is missing")]
+
+mod support;
+
+use std::path::Path;
+use support::{Run, Scene, backends, fail, occluster, succeed, text};
+
+/// Bytes of the scene's meshes.
+fn geometry_bytes(scene: &Scene) -> u64 {
+    let output = succeed(&["inspect", text(&scene.occ), "--json"]);
+    let inspected: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    let bytes = &inspected["bytes"];
+    bytes["vertices"].as_u64().unwrap() + bytes["indices"].as_u64().unwrap()
+}
+
+fn replay(scene: &Scene, name: &str, path: &Path, options: &[&str]) -> Run {
+    let mut all = vec!["--path", text(path), "--size", "161x97"];
+    all.extend(options);
+    scene.replay(name, &all)
+}
+
+fn assert_within(run: &Run, cap: u64, what: &str) {
+    for peak in run.summary["memory"]["peak_resident"].as_array().unwrap() {
+        let peak = peak.as_u64().unwrap();
+        assert!(peak <= cap, "{what}: {peak} of {cap} bytes");
+    }
+}
+
+#[test]
+fn under_any_cap_the_pictures_are_the_same_and_the_cap_holds() {
+    let scene = Scene::synth("plant", 200_000);
+    let geometry = geometry_bytes(&scene);
+    for backend in backends() {
+        for kind in ["walk", "orbit", "zoom"] {
+            let path = scene.path(kind, 12);
+            let of = |name: &str, options: &[&str]| {
+                let mut all = vec!["--backend", backend];
+                all.extend(options);
+                replay(&scene, &format!("{backend}-{kind}-{name}"), &path, &all)
+            };
+            let whole = of("whole", &["--prefetch", "off"]);
+            for (share, prefetch) in [(2, "on"), (4, "on"), (10, "on"), (10, "off")] {
+                let cap = (geometry / share).max(2 << 20);
+                let name = format!("{share}-{prefetch}");
+                let run = of(&name, &["--memory", &cap.to_string(), "--prefetch", prefetch]);
+                assert_eq!(run.hashes(), whole.hashes(), "{backend} {kind} {name}");
+                assert_within(&run, cap, &name);
+                assert_eq!(run.number("/stand_ins/frames"), 0.0);
+                assert_eq!(run.number("/memory/cap"), cap as f64);
+                if prefetch == "off" {
+                    assert_eq!(run.number("/io/prefetched"), 0.0);
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn a_frame_that_does_not_fit_is_drawn_in_parts() {
+    let scene = Scene::synth("plant", 200_000);
+    let path = scene.path("orbit", 3);
+    for backend in backends() {
+        let of = |name: &str, memory: &[&str]| {
+            let mut options = vec!["--backend", backend, "--lod", "0", "--cull", "off"];
+            options.extend(memory);
+            replay(&scene, &format!("{backend}-{name}"), &path, &options)
+        };
+        let whole = of("whole", &[]);
+        let parts = of("parts", &["--memory", "2MiB"]);
+        assert_eq!(parts.hashes(), whole.hashes(), "{backend}");
+        assert_within(&parts, 2 << 20, backend);
+        // Each frame reads what the one before had to give up.
+        let read = parts.number("/io/bytes_read");
+        assert!(read > 2.0 * f64::from(2 << 20), "{read}");
+    }
+}
+
+#[test]
+fn with_a_deadline_nothing_is_waited_for_and_the_error_is_told() {
+    let scene = Scene::synth("plant", 200_000);
+    let cap = (geometry_bytes(&scene) / 10).max(3 << 20);
+    for backend in backends() {
+        let path = scene.path("walk", 24);
+        let memory = cap.to_string();
+        let options = ["--backend", backend, "--residency", "deadline", "--memory", &memory];
+        let run = replay(&scene, &format!("{backend}-deadline"), &path, &options);
+        assert_within(&run, cap, backend);
+        assert!(run.number("/io/stall_ms_max") <= 1.0, "{}", run.summary["io"]);
+        assert_eq!(run.number("/stand_ins/holes"), 0.0);
+        assert!(run.number("/stand_ins/replaced") > 0.0, "nothing was ever late: a weak test");
+        let exact = replay(&scene, &format!("{backend}-exact"), &path, &["--backend", backend]);
+        let (late, errors) = (run.column("replaced"), run.column("stand_in_error_px"));
+        let mut whole = 0;
+        for (frame, (shown, truth)) in run.hashes().iter().zip(exact.hashes()).enumerate() {
+            if late[frame] == "0" {
+                assert_eq!(errors[frame].parse(), Ok(0.0));
+                assert_eq!(*shown, truth, "frame {frame} is not marked and is not exact");
+                whole += 1;
+            }
+        }
+        assert!(whole > 0, "no frame was ever whole: a weak test");
+    }
+}
+
+#[test]
+fn too_little_memory_is_refused_with_what_is_needed() {
+    let scene = Scene::synth("plant", 20_000);
+    let options = ["replay", text(&scene.occ), "--frames", "2", "--memory", "1KiB"];
+    fail(&options, 78, "--memory allows 1024 bytes a node, and this scene needs at least ");
+}
+
+#[test]
+fn a_damaged_mesh_is_named_and_something_coarser_is_shown() {
+    let scene = Scene::synth("plant", 100_000);
+    let path = scene.path("walk", 6);
+    let whole = replay(&scene, "whole", &path, &["--backend", "cpu"]);
+    // One byte of every mesh that lies in the first half of the file.
+    let mut bytes = std::fs::read(&scene.occ).unwrap();
+    for at in (384..bytes.len() / 2).step_by(1 << 12) {
+        bytes[at] ^= 0x10;
+    }
+    let damaged = scene.file("damaged.occ");
+    std::fs::write(&damaged, bytes).unwrap();
+    let out = scene.file("out");
+    for extra in [&[][..], &["--residency", "deadline"]] {
+        let mut options =
+            vec!["replay", text(&damaged), "--path", text(&path), "--size", "161x97", "--backend", "cpu"];
+        options.extend(["--out", text(&out)]);
+        options.extend(extra);
+        let output = occluster().args(&options).output().unwrap();
+        assert_eq!(output.status.code(), Some(65));
+        let said = String::from_utf8(output.stderr).unwrap();
+        assert!(said.contains("damaged.occ: blob ") && said.contains("is damaged"), "{said}");
+        let run = Run::read(&out);
+        assert_eq!(run.rows.len(), whole.rows.len(), "all frames are shown");
+        assert!(run.number("/io/faults") > 0.0 && run.number("/stand_ins/frames") > 0.0);
+    }
+}
