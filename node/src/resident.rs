@@ -3,7 +3,7 @@
 use protocol::format::Texture;
 use protocol::id::BlobId;
 use protocol::telemetry::IoCounts;
-use scene::backend::{Backend, Draw};
+use scene::backend::{Backend, Draws};
 use scene::store::{Store, StoreError};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -31,9 +31,9 @@ impl Residency {
         &mut self,
         store: &Store,
         backend: &mut dyn Backend,
-        draws: &[Draw],
+        draws: &Draws,
     ) -> Result<(), RoleError> {
-        for draw in draws {
+        for draw in draws.solid.iter().chain(&draws.blending) {
             if self.held[draw.blob.index()] {
                 self.counts.hits += 1;
             } else {

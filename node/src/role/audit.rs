@@ -5,7 +5,7 @@ use super::render_visible_geometry::Drawn;
 use super::{RoleError, Stage};
 use protocol::camera::Camera;
 use protocol::telemetry::Audit;
-use scene::backend::{Completion, NO_ITEM, Pass, Picture};
+use scene::backend::{Completion, NO_ITEM, Part, Pass, Picture};
 
 /// What was asked for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -38,7 +38,7 @@ fn against_unculled(
     let front = stage.front(camera);
     let draws = stage.draws(camera, &front.entries)?;
     let view = stage.view(camera);
-    let pass = Pass::Shade { view, draws, with_depth: true };
+    let pass = Pass::Shade { view, draws, with_depth: true, part: Part::WHOLE };
     let Completion::Picture { picture: whole, .. } = stage.complete(pass)? else {
         unreachable!("a picture answers as such")
     };
@@ -62,7 +62,7 @@ fn differing_pixels(a: &Picture, b: &Picture) -> u64 {
 
 fn count_items(stage: &mut Stage<'_>, camera: &Camera, drawn: &Drawn) -> Result<u32, RoleError> {
     let view = stage.view(camera);
-    let pass = Pass::Items { view, draws: drawn.draws.clone() };
+    let pass = Pass::Items { view, draws: drawn.draws.clone(), part: Part::WHOLE };
     let Completion::Items { mut items, blended, .. } = stage.complete(pass)? else {
         unreachable!("items answer as such")
     };

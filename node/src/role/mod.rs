@@ -13,7 +13,7 @@ use protocol::camera::Camera;
 use protocol::id::HlodId;
 use protocol::settings::RunSettings;
 use protocol::telemetry::IoCounts;
-use scene::backend::{Backend, BackendError, Completion, Draw, Pass, View};
+use scene::backend::{Backend, BackendError, Completion, Draws, Pass, View};
 use scene::draw_list::draw_list;
 use scene::front::{Front, FrontEntry, front};
 use scene::occludee::Rules;
@@ -80,8 +80,8 @@ impl<'a> Stage<'a> {
         View::new(camera, self.settings.size)
     }
 
-    /// Draws for `entries` in their order, their geometry with the backend.
-    fn draws(&mut self, camera: &Camera, entries: &[FrontEntry]) -> Result<Vec<Draw>, RoleError> {
+    /// Draws for `entries`, their geometry with the backend.
+    fn draws(&mut self, camera: &Camera, entries: &[FrontEntry]) -> Result<Draws, RoleError> {
         let draws = draw_list(self.store.skeleton(), entries, camera.eye);
         self.residency.ensure(self.store, self.backend.as_mut(), &draws)?;
         Ok(draws)

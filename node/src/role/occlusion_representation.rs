@@ -7,7 +7,7 @@ use protocol::camera::Camera;
 use protocol::settings::Cull;
 use protocol::telemetry::DrawCounts;
 use protocol::visible::VisibleSet;
-use scene::backend::{Completion, Pass};
+use scene::backend::{Completion, Part, Pass};
 use scene::occluders::map_onto_front;
 
 /// Renders the occluders' depth and waits until it is made. Without culling nobody asks for it.
@@ -21,9 +21,10 @@ pub(crate) fn run(
     }
     let front = stage.front(camera);
     let entries = map_onto_front(stage.store.skeleton(), previous, &front);
-    let draws = stage.draws(camera, &entries)?;
+    let draws = stage.draws(camera, &entries)?.solid;
     let view = stage.view(camera);
-    let completion = stage.complete(Pass::Occluders { view, draws })?;
+    let pass = Pass::Occluders { view, draws, part: Part::WHOLE };
+    let completion = stage.complete(pass)?;
     assert!(matches!(completion, Completion::Occluders { .. }), "occluders answer as such");
     Ok(DrawCounts {
         hlods: entries.len() as u32,

@@ -5,7 +5,7 @@ use protocol::camera::Camera;
 use protocol::id::HlodId;
 use protocol::telemetry::DrawCounts;
 use protocol::visible::VisibleSet;
-use scene::backend::{Completion, Draw, Pass, Picture};
+use scene::backend::{Completion, Draws, Part, Pass, Picture};
 use scene::front::{Front, FrontEntry};
 
 /// A frame that was drawn.
@@ -15,7 +15,7 @@ pub(crate) struct Drawn {
     /// The picture.
     pub(crate) picture: Picture,
     /// The draws it is made of.
-    pub(crate) draws: Vec<Draw>,
+    pub(crate) draws: Draws,
 }
 
 /// Draws V_i at the levels of this camera's own front.
@@ -29,7 +29,7 @@ pub(crate) fn run(
     let entries = entries_of(&front, visible.ids())?;
     let draws = stage.draws(camera, &entries)?;
     let view = stage.view(camera);
-    let pass = Pass::Shade { view, draws: draws.clone(), with_depth };
+    let pass = Pass::Shade { view, draws: draws.clone(), with_depth, part: Part::WHOLE };
     let Completion::Picture { picture, .. } = stage.complete(pass)? else {
         unreachable!("a picture answers as such")
     };
