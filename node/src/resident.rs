@@ -13,7 +13,7 @@ use protocol::settings::Residency as Promise;
 use protocol::telemetry::IoCounts;
 use protocol::visible::VisibleSet;
 use scene::backend::{Backend, Part, Upload};
-use scene::draw_list::Draws;
+use scene::backend::Draws;
 use scene::front::FrontEntry;
 use scene::prefetch::{Motion, Outlook};
 use scene::residency::{Residency, Stamp, Use};

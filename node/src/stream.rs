@@ -2,7 +2,7 @@
 
 use protocol::id::BlobId;
 use scene::backend::Draw;
-use scene::draw_list::Draws;
+use scene::backend::Draws;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::ops::Range;
 

@@ -6,7 +6,7 @@ use protocol::id::{BlobId, HlodId};
 use protocol::settings::{Cull, PictureSize};
 use rand::rngs::StdRng;
 use rand::{Rng, SeedableRng};
-use scene::backend::{Backend, BackendError, BoxQuery, Completion, Draw, Pass, View};
+use scene::backend::{Backend, BackendError, BoxQuery, Completion, Draw, Draws, Part, Pass, View};
 use std::time::Instant;
 
 const ROUNDS: usize = 7;
@@ -42,15 +42,17 @@ fn main() -> Result<(), BackendError> {
     };
     let draws = draws(&mut random);
     let total = f64::from(MESHES * triangles);
-    let occluders = Pass::Occluders { view, draws: draws.clone() };
-    let shade = Pass::Shade { view, draws: draws.clone(), with_depth: false };
-    let items = Pass::Items { view, draws };
+    let part = Part::WHOLE;
+    let occluders = Pass::Occluders { view, draws: draws.clone(), part };
+    let draws = Draws { solid: draws, blending: Vec::new() };
+    let shade = Pass::Shade { view, draws: draws.clone(), with_depth: false, part };
+    let items = Pass::Items { view, draws, part };
     for (name, pass) in [("occluders", &occluders), ("shade", &shade), ("items", &items)] {
         let seconds = median(&mut backend, pass)?;
         let rate = total / seconds * 1e-6;
         println!("{name}: {:.1} ms for {total} triangles, {rate:.1} Mtri/s", seconds * 1e3);
     }
-    let nothing = Pass::Shade { view, draws: Vec::new(), with_depth: false };
+    let nothing = Pass::Shade { view, draws: Draws::default(), with_depth: false, part };
     println!("empty picture: {:.2} ms", median(&mut backend, &nothing)? * 1e3);
 
     median(&mut backend, &occluders)?;

@@ -10,15 +10,15 @@ use crate::queries::{self, QueryBatch};
 use crate::readback::{Readback, Signal};
 use crate::recorder::Recorder;
 use crate::stream_buffer::StreamBuffer;
-use crate::targets::{Targets, cleared_depth, read_depth};
+use crate::targets::{NOTHING_IN_FRONT, Targets, read_depth, written_depth};
 use crate::textures::Textures;
 use protocol::format::Blob;
 use protocol::id::BlobId;
 use protocol::settings::{Cull, PictureSize};
 use protocol::telemetry::BackendInfo;
 use scene::backend::{
-    Backend, BackendError, BoxQuery, Completion, Draw, NO_ITEM, Pass, TextureUpload, Ticket, View,
-    light,
+    Backend, BackendError, BoxQuery, Completion, Draw, NO_ITEM, Part, Pass, TextureUpload, Ticket,
+    UnderWay, View, light,
 };
 use shaders::mirror::Frame;
 use std::collections::VecDeque;
@@ -37,9 +37,15 @@ pub struct WgpuBackend {
     instances: StreamBuffer,
     boxes: StreamBuffer,
     query_pool: Vec<QueryBatch>,
+    under_way: UnderWay,
+    /// Something blends in the pass under way.
+    blends: bool,
     pending: VecDeque<Pending>,
     next_ticket: u64,
 }
+
+/// Work that was submitted, and what it brings.
+type Submitted = (wgpu::SubmissionIndex, Awaited);
 
 /// What recording a pass needs to read.
 pub(crate) struct Context<'a> {
@@ -74,6 +80,8 @@ impl WgpuBackend {
             instances: StreamBuffer::default(),
             boxes: StreamBuffer::default(),
             query_pool: Vec::new(),
+            under_way: UnderWay::default(),
+            blends: false,
             pending: VecDeque::new(),
             next_ticket: 0,
         })
@@ -95,10 +103,15 @@ impl WgpuBackend {
         Ok(())
     }
 
-    /// Clears and draws, and leaves the encoder open for copies. Whether anything blends.
-    fn draw(&mut self, into: Into, draws: &[Draw]) -> (wgpu::CommandEncoder, bool) {
+    /// Draws a part of a pass, and leaves the encoder open for copies.
+    fn draw(
+        &mut self,
+        into: Into,
+        [solid, blending]: [&[Draw]; 2],
+        part: Part,
+    ) -> wgpu::CommandEncoder {
         let Self { device, targets, memory, .. } = self;
-        let plan = draws::plan(draws, |draw| memory.place(draw.blob));
+        let plan = draws::plan(solid, blending, |draw| memory.place(draw.blob));
         let mut encoder = device.device.create_command_encoder(&Default::default());
         let instances = (!plan.instances.is_empty())
             .then(|| self.instances.write(device, bytemuck::cast_slice(&plan.instances)));
@@ -113,29 +126,38 @@ impl WgpuBackend {
         let [r, g, b] = light::SKY.map(f64::from);
         let sky = wgpu::Color { r, g, b, a: 1.0 };
         let nothing = wgpu::Color { r: f64::from(NO_ITEM), g: 0.0, b: 0.0, a: 0.0 };
+        let started = |opens, clear| match opens {
+            true => wgpu::LoadOp::Clear(clear),
+            false => wgpu::LoadOp::Load,
+        };
         let mut calls = plan.solid(into);
         let (color, depth) = match into {
             Into::Depth => (None, &targets.occlusion),
-            Into::Picture => (Some((targets.color(device), sky)), targets.depth(device)),
-            Into::Items => (Some((targets.items(device), nothing)), targets.depth(device)),
+            Into::Picture => {
+                (Some((targets.color(device), started(part.opens, sky))), targets.depth(device))
+            }
+            Into::Items => {
+                (Some((targets.items(device), started(part.opens, nothing))), targets.depth(device))
+            }
         };
+        let load = if part.opens { NOTHING_IN_FRONT } else { wgpu::LoadOp::Load };
         let blending = plan.blending(into);
-        let blends = !blending.is_empty();
+        let blended_before = self.blends && !part.opens;
+        self.blends = blended_before || !blending.is_empty();
         if into == Into::Picture {
             calls.extend(blending);
-            recorder.pass(&mut encoder, color, cleared_depth(depth), &calls);
+            recorder.pass(&mut encoder, color, written_depth(depth, load), &calls);
         } else {
-            recorder.pass(&mut encoder, color, cleared_depth(depth), &calls);
-            if into == Into::Items && blends {
-                let color = Some((targets.blended(device), nothing));
-                recorder.pass(&mut encoder, color, read_depth(depth), &blending);
+            recorder.pass(&mut encoder, color, written_depth(depth, load), &calls);
+            if into == Into::Items && !blending.is_empty() {
+                let color = (targets.blended(device), started(!blended_before, nothing));
+                recorder.pass(&mut encoder, Some(color), read_depth(depth), &blending);
             }
         }
-        (encoder, blends)
+        encoder
     }
 
-    fn occluders(&mut self, draws: &[Draw]) -> (wgpu::SubmissionIndex, Awaited) {
-        let (encoder, _) = self.draw(Into::Depth, draws);
+    fn occluders(&mut self, encoder: wgpu::CommandEncoder) -> Submitted {
         let submission = self.device.queue.submit([encoder.finish()]);
         let done = Signal::default();
         let signal = done.clone();
@@ -143,8 +165,7 @@ impl WgpuBackend {
         (submission, Awaited::Occluders { done })
     }
 
-    fn shade(&mut self, draws: &[Draw], with_depth: bool) -> (wgpu::SubmissionIndex, Awaited) {
-        let (mut encoder, _) = self.draw(Into::Picture, draws);
+    fn picture(&mut self, mut encoder: wgpu::CommandEncoder, with_depth: bool) -> Submitted {
         let (device, targets, size) = (&self.device, &self.targets, self.targets.size);
         let mut color = Readback::of_target(device, &mut encoder, targets.color(device), size);
         let mut depth = with_depth
@@ -155,11 +176,11 @@ impl WgpuBackend {
         (submission, Awaited::Picture { size, color, depth })
     }
 
-    fn items(&mut self, draws: &[Draw]) -> (wgpu::SubmissionIndex, Awaited) {
-        let (mut encoder, blends) = self.draw(Into::Items, draws);
+    fn items(&mut self, mut encoder: wgpu::CommandEncoder) -> Submitted {
         let (device, targets, size) = (&self.device, &self.targets, self.targets.size);
         let mut items = Readback::of_target(device, &mut encoder, targets.items(device), size);
-        let mut blended = blends
+        let mut blended = self
+            .blends
             .then(|| Readback::of_target(device, &mut encoder, targets.blended(device), size));
         let submission = device.queue.submit([encoder.finish()]);
         items.start();
@@ -167,11 +188,31 @@ impl WgpuBackend {
         (submission, Awaited::Items { size, items, blended })
     }
 
-    fn boxes(
-        &mut self,
-        boxes: &[BoxQuery],
-        method: Cull,
-    ) -> Result<Vec<(wgpu::SubmissionIndex, Awaited)>, BackendError> {
+    /// Draws, and says what is awaited if the part closes its pass.
+    fn drawn(&mut self, pass: &Pass) -> Option<Submitted> {
+        let (into, lists, part) = match pass {
+            Pass::Occluders { draws, part, .. } => (Into::Depth, [&draws[..], &[]], *part),
+            Pass::Shade { draws, part, .. } => {
+                (Into::Picture, [&draws.solid[..], &draws.blending], *part)
+            }
+            Pass::Items { draws, part, .. } => {
+                (Into::Items, [&draws.solid[..], &draws.blending], *part)
+            }
+            Pass::QueryBoxes { .. } => unreachable!("boxes draw nothing"),
+        };
+        let encoder = self.draw(into, lists, part);
+        if !part.closes {
+            self.device.queue.submit([encoder.finish()]);
+            return None;
+        }
+        Some(match pass {
+            Pass::Shade { with_depth, .. } => self.picture(encoder, *with_depth),
+            Pass::Items { .. } => self.items(encoder),
+            Pass::Occluders { .. } | Pass::QueryBoxes { .. } => self.occluders(encoder),
+        })
+    }
+
+    fn boxes(&mut self, boxes: &[BoxQuery], method: Cull) -> Result<Vec<Submitted>, BackendError> {
         let instances = queries::instances(boxes);
         let buffer = self.boxes.write(&self.device, bytemuck::cast_slice(&instances));
         let (device, pipelines, targets) = (&self.device, &self.pipelines, &self.targets);
@@ -211,18 +252,17 @@ impl Backend for WgpuBackend {
         | Pass::QueryBoxes { view, .. }
         | Pass::Shade { view, .. }
         | Pass::Items { view, .. }) = &pass;
+        self.under_way.take(&pass);
         self.begin(view)?;
         let submitted = match &pass {
-            Pass::Occluders { draws, .. } => vec![self.occluders(draws)],
-            Pass::Shade { draws, with_depth, .. } => vec![self.shade(draws, *with_depth)],
-            Pass::Items { draws, .. } => vec![self.items(draws)],
             Pass::QueryBoxes { boxes, .. } if boxes.is_empty() => Vec::new(),
             Pass::QueryBoxes { boxes, method, .. } => self.boxes(boxes, *method)?,
+            _ => self.drawn(&pass).into_iter().collect(),
         };
         self.device.fault.check()?;
         let ticket = Ticket(self.next_ticket);
         self.next_ticket += 1;
-        if submitted.is_empty() {
+        if matches!(&pass, Pass::QueryBoxes { boxes, .. } if boxes.is_empty()) {
             self.pending.push_back(Pending { ticket, submission: None, awaited: Awaited::NoBoxes });
         }
         for (submission, awaited) in submitted {

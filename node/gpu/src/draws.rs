@@ -3,11 +3,11 @@
 use crate::geometry_memory::{GeometryMemory, Place};
 use crate::mesh_pipelines::{Into, Key};
 use protocol::format::Class;
-use scene::backend::{Draw, far_to_near};
+use scene::backend::Draw;
 use shaders::mirror::Instance;
 use std::ops::Range;
 
-/// Consecutive draws of one mesh: one instanced call a class.
+/// Consecutive draws of one mesh and turn: one instanced call a class.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Run {
     pub(crate) place: Place,
@@ -15,38 +15,41 @@ pub(crate) struct Run {
     pub(crate) instances: Range<u32>,
 }
 
-/// All of a pass.
+/// All of a part of a pass.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub(crate) struct Plan {
     pub(crate) instances: Vec<Instance>,
-    /// In the order of the draws.
+    /// What is solid, in the order of the draws.
     pub(crate) runs: Vec<Run>,
-    /// What blends, far to near, each a call of its own: joined, the triangles of one class would
-    /// overtake those of another.
+    /// What blends, in order, each a call of its own: joined, the triangles of one class would overtake
+    /// those of another.
     pub(crate) blended: Vec<Run>,
 }
 
-/// Instance data and the calls over it. `place` finds a mesh.
+/// Instance data of both lists, and the calls over it. `place` finds a mesh.
 ///
 /// A blob that is not resident is the caller's mistake and panics.
-pub(crate) fn plan(draws: &[Draw], place: impl Fn(&Draw) -> Option<Place>) -> Plan {
+pub(crate) fn plan(
+    solid: &[Draw],
+    blending: &[Draw],
+    place: impl Fn(&Draw) -> Option<Place>,
+) -> Plan {
     let place = |draw: &Draw| {
         place(draw).unwrap_or_else(|| panic!("blob {} was drawn, never uploaded", draw.blob))
     };
-    let places: Vec<Place> = draws.iter().map(place).collect();
     let mut plan = Plan::default();
-    plan.instances.reserve(draws.len());
-    for (draw, &place) in draws.iter().zip(&places) {
-        let run = plan.push(draw, place);
+    plan.instances.reserve(solid.len() + blending.len());
+    for draw in solid {
+        let run = plan.push(draw, place(draw));
         match plan.runs.last_mut() {
-            Some(last) if last.place == place && last.mirrored == run.mirrored => {
+            Some(last) if last.place == run.place && last.mirrored == run.mirrored => {
                 last.instances.end = run.instances.end;
             }
             _ => plan.runs.push(run),
         }
     }
-    for index in far_to_near(draws, |index| places[index].blends()) {
-        let run = plan.push(&draws[index], places[index]);
+    for draw in blending {
+        let run = plan.push(draw, place(draw));
         plan.blended.push(run);
     }
     plan
@@ -66,13 +69,17 @@ impl Plan {
         Run { place, mirrored: draw.is_mirrored(), instances: at..at + 1 }
     }
 
-    /// The calls for what does not blend, one class after the other: so the order of what is left of a
-    /// list does not depend on what is left out. Of `Into::Depth` it is what is opaque.
+    /// The calls for what does not blend, blob by blob and of each class by class. Of `Into::Depth` it is
+    /// what is opaque.
     pub(crate) fn solid(&self, into: Into) -> Vec<(Key, Call<'_>)> {
         let wanted = |class: &Class| class.is_opaque() || class.is_mask() && into != Into::Depth;
-        let classes = Class::ALL.into_iter().filter(wanted);
-        classes
-            .flat_map(|class| self.runs.iter().filter_map(move |r| r.call(into, class)))
+        let classes = || Class::ALL.into_iter().filter(wanted);
+        self.runs
+            .chunk_by(|a, b| a.place == b.place)
+            .flat_map(|of_blob| {
+                classes()
+                    .flat_map(move |class| of_blob.iter().filter_map(move |r| r.call(into, class)))
+            })
             .collect()
     }
 
@@ -149,7 +156,7 @@ mod tests {
 
     #[test]
     fn nothing_makes_no_call() {
-        let plan = plan(&[], place);
+        let plan = plan(&[], &[], place);
         assert_eq!(plan, Plan::default());
         assert!(plan.solid(Into::Picture).is_empty() && plan.blending(Into::Picture).is_empty());
     }
@@ -159,7 +166,7 @@ mod tests {
         let mut draws: Vec<Draw> =
             [(1, 0), (1, 1), (2, 2), (1, 3), (1, 4)].map(|(b, i)| draw(b, i)).into();
         draws.extend([mirrored(1, 5), mirrored(1, 6)]);
-        let plan = plan(&draws, place);
+        let plan = plan(&draws, &[], place);
         let items: Vec<_> = plan.instances.iter().map(|i| i.item).collect();
         assert_eq!(items, [0, 1, 2, 3, 4, 5, 6]);
         let calls: Vec<_> =
@@ -170,24 +177,30 @@ mod tests {
     }
 
     #[test]
-    fn classes_follow_each_other_and_what_blends_comes_far_to_near() {
-        let plan = plan(&[draw(5, 1), draw(5, 2), draw(6, 9)], place);
+    fn classes_of_a_blob_follow_each_other_and_what_blends_keeps_its_order() {
+        let draws = [draw(5, 1), draw(5, 2), mirrored(5, 3), draw(6, 9)];
+        let plan = plan(&draws, &[draws[3], draws[0]], place);
         let seen = |calls: Vec<(Key, Call<'_>)>| -> Vec<_> {
             let seen = |(_, call): (_, Call<'_>)| (call.indices, call.run.instances.clone());
             calls.into_iter().map(seen).collect()
         };
-        let depth = seen(plan.solid(Into::Depth));
-        assert_eq!(depth, [(100..103, 0..2), (100..103, 2..3), (103..109, 0..2), (103..109, 2..3)]);
-        assert_eq!(plan.solid(Into::Items).len(), 8);
-        let items: Vec<_> = plan.instances[3..].iter().map(|i| i.item).collect();
-        assert_eq!(items, [9, 2, 1]);
+        let (single, double) = (100..103, 103..109);
+        let of_blob_5 =
+            [&single, &single, &double, &double].into_iter().zip([0..2, 2..3, 0..2, 2..3]);
+        let of_blob_6 = [&single, &double].into_iter().zip([3..4, 3..4]);
+        let expected: Vec<_> = of_blob_5.chain(of_blob_6).map(|(i, at)| (i.clone(), at)).collect();
+        assert_eq!(seen(plan.solid(Into::Depth)), expected);
+        assert_eq!(plan.solid(Into::Items).len(), 12);
+        let items: Vec<_> = plan.instances[4..].iter().map(|i| i.item).collect();
+        assert_eq!(items, [9, 1]);
         let blended = seen(plan.blending(Into::Picture));
-        assert_eq!(blended[..3], [(118..121, 3..4), (121..127, 3..4), (118..121, 4..5)]);
+        let expected = [(118..121, 4..5), (121..127, 4..5), (118..121, 5..6), (121..127, 5..6)];
+        assert_eq!(blended, expected);
     }
 
     #[test]
     #[should_panic(expected = "never uploaded")]
     fn a_missing_blob_is_our_mistake() {
-        plan(&[draw(11, 0)], place);
+        plan(&[draw(11, 0)], &[], place);
     }
 }

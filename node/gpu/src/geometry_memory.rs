@@ -44,11 +44,6 @@ impl Place {
         let start = self.first_index + 3 * triangles(&self.classes[..class as usize]);
         start..start + 3 * self.classes[class as usize]
     }
-
-    /// Any of its triangles blends.
-    pub(crate) fn blends(&self) -> bool {
-        Class::ALL.iter().any(|class| class.is_blend() && !self.indices_of(*class).is_empty())
-    }
 }
 
 struct Chunk {

@@ -20,24 +20,21 @@ pub(crate) struct Recorder<'a> {
 }
 
 impl Recorder<'_> {
-    /// Draws the calls in their order into a colour target, cleared, and a depth.
+    /// Draws the calls in their order into a colour target, with what it starts with, and a depth.
     pub(crate) fn pass(
         &mut self,
         encoder: &mut wgpu::CommandEncoder,
-        color: Option<(&Target, wgpu::Color)>,
+        color: Option<(&Target, wgpu::LoadOp<wgpu::Color>)>,
         depth: wgpu::RenderPassDepthStencilAttachment<'_>,
         calls: &[(Key, Call<'_>)],
     ) {
         let pipelines = self.pipelines_of(calls);
-        let color = color.map(|(target, clear)| {
+        let color = color.map(|(target, load)| {
             Some(wgpu::RenderPassColorAttachment {
                 view: &target.view,
                 depth_slice: None,
                 resolve_target: None,
-                ops: wgpu::Operations {
-                    load: wgpu::LoadOp::Clear(clear),
-                    store: wgpu::StoreOp::Store,
-                },
+                ops: wgpu::Operations { load, store: wgpu::StoreOp::Store },
             })
         });
         let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {

@@ -13,6 +13,9 @@ pub(crate) const COLOR_FORMAT: TextureFormat = TextureFormat::Rgba8UnormSrgb;
 /// Item ids.
 pub(crate) const ITEMS_FORMAT: TextureFormat = TextureFormat::R32Uint;
 
+/// Depth starts at infinity.
+pub(crate) const NOTHING_IN_FRONT: wgpu::LoadOp<f32> = wgpu::LoadOp::Clear(0.0);
+
 /// A texture and its only view.
 pub(crate) struct Target {
     pub(crate) texture: wgpu::Texture,
@@ -109,14 +112,14 @@ pub(crate) fn extent(size: PictureSize) -> wgpu::Extent3d {
     wgpu::Extent3d { width: size.width, height: size.height, depth_or_array_layers: 1 }
 }
 
-/// Depth that starts at infinity and is kept.
-pub(crate) fn cleared_depth(target: &Target) -> wgpu::RenderPassDepthStencilAttachment<'_> {
+/// Depth that is written and kept; `load` is what it starts with.
+pub(crate) fn written_depth(
+    target: &Target,
+    load: wgpu::LoadOp<f32>,
+) -> wgpu::RenderPassDepthStencilAttachment<'_> {
     wgpu::RenderPassDepthStencilAttachment {
         view: &target.view,
-        depth_ops: Some(wgpu::Operations {
-            load: wgpu::LoadOp::Clear(0.0),
-            store: wgpu::StoreOp::Store,
-        }),
+        depth_ops: Some(wgpu::Operations { load, store: wgpu::StoreOp::Store }),
         stencil_ops: None,
     }
 }
@@ -134,7 +137,7 @@ pub(crate) fn read_depth(target: &Target) -> wgpu::RenderPassDepthStencilAttachm
 fn clear(device: &Device, depth: &Target) {
     let mut encoder = device.device.create_command_encoder(&Default::default());
     drop(encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
-        depth_stencil_attachment: Some(cleared_depth(depth)),
+        depth_stencil_attachment: Some(written_depth(depth, NOTHING_IN_FRONT)),
         ..Default::default()
     }));
     device.queue.submit([encoder.finish()]);

@@ -1,35 +1,57 @@
 //! From front entries to draws.
 
-use crate::backend::Draw;
+use crate::backend::{Draw, Draws};
 use crate::front::FrontEntry;
-use protocol::format::{Hlod, Part, Skeleton};
+use protocol::format::{Blob, Class, Hlod, Part, Skeleton};
 use protocol::id::{BlobId, HlodId};
 
-/// The draws of `entries` for an eye, one a part, ordered by (blob, hlod, part), so that instances of a
-/// mesh follow each other.
+/// The draws of `entries` for an eye, one a part, in the lists of the classes they have.
 ///
-/// The order depends on nothing but the three ids: a culled list is the unculled one with draws left
-/// out. Where two surfaces have the same depth the later draw wins (GreaterEqual), and draws that are
-/// hidden everywhere win nowhere, so both lists give the same picture, bit for bit.
+/// Solid ones go by (kind of the blob, blob, hlod, part): instances of a mesh follow each other, and
+/// what one pipeline draws mostly does. Backends draw a blob's instances class by class, so triangles
+/// are drawn by (kind, blob, class, hlod, part). Where two surfaces have the same depth the later one
+/// wins (GreaterEqual). Nothing in that order depends on what else is drawn, and no part of it on more
+/// than one blob. So a culled list is the whole one with draws left out, and those win nowhere, being
+/// hidden everywhere: the picture is the same, bit for bit. So is one drawn in stretches of whole blobs.
+///
+/// What blends goes far to near by the middles of the hlods' boxes, at one distance by (blob, hlod, part):
+/// culling takes draws out of that order, too, and changes none of the rest.
 ///
 /// Draws too far away for f32 are left out: they cover no pixel.
-pub fn draw_list(skeleton: &Skeleton, entries: &[FrontEntry], eye: [f64; 3]) -> Vec<Draw> {
+pub fn draw_list(skeleton: &Skeleton, entries: &[FrontEntry], eye: [f64; 3]) -> Draws {
     let draws_of = |entry: &FrontEntry| {
         let parts = skeleton.parts_of(&skeleton.levels[entry.level as usize]);
         let hlod = entry.hlod;
         let distance = distance(skeleton.hlod(hlod), eye);
         parts.iter().map(move |part| Draw { distance, ..draw_of(skeleton, hlod, part, eye) })
     };
-    let mut draws: Vec<Draw> = entries
+    let mut all: Vec<Draw> = entries
         .iter()
         .flat_map(draws_of)
         .filter(|draw| {
             draw.linear.iter().flatten().chain(&draw.offset).all(|number| number.is_finite())
         })
         .collect();
-    // Stable: the parts of an hlod that share a mesh keep their order.
-    draws.sort_by_key(|draw| (draw.blob, draw.item));
-    draws
+    // Stable, as all that follow: the parts of an hlod that share a mesh keep their order.
+    all.sort_by_key(|draw| (draw.blob, draw.item));
+    let has = |draw: &&Draw, wanted: fn(Class) -> bool| {
+        let blob = skeleton.blob(draw.blob);
+        Class::ALL.into_iter().any(|class| wanted(class) && blob.has(class))
+    };
+    let mut solid: Vec<Draw> =
+        all.iter().filter(|draw| has(draw, |class| !class.is_blend())).copied().collect();
+    solid.sort_by_key(|draw| kind(skeleton.blob(draw.blob)));
+    let mut blending: Vec<Draw> =
+        all.iter().filter(|draw| has(draw, Class::is_blend)).copied().collect();
+    blending.sort_by(|a, b| b.distance.total_cmp(&a.distance));
+    Draws { solid, blending }
+}
+
+/// Tells blobs apart that need different pipelines for what is solid; what has holes comes last.
+fn kind(blob: &Blob) -> u32 {
+    let solid = Class::ALL.into_iter().filter(|&class| !class.is_blend() && blob.has(class));
+    let classes: u32 = solid.map(|class| 1 << class as u32).sum();
+    classes << 1 | u32::from(blob.is_textured())
 }
 
 fn draw_of(skeleton: &Skeleton, item: HlodId, part: &Part, eye: [f64; 3]) -> Draw {
@@ -60,23 +82,47 @@ mod tests {
     use protocol::settings::PictureSize;
     use rand::Rng;
 
-    #[test]
-    fn a_culled_list_is_the_whole_one_with_draws_left_out() {
+    /// A scene whose parts share few meshes, and its finest front.
+    fn scene_of_instances() -> (RandomScene, Vec<FrontEntry>, [f64; 3]) {
         let mut scene = RandomScene::new(7, 4, 64.0);
         let camera = scene.camera();
         let size = PictureSize { width: 64, height: 64 };
-        // Some share a mesh.
         for part in &mut scene.skeleton.parts {
-            part.blob %= 7;
+            part.blob %= 30;
         }
         let entries = front(&scene.skeleton, &camera, size, 0.0).entries;
-        assert!(draw_list(&scene.skeleton, &[], camera.eye).is_empty());
-        let all = draw_list(&scene.skeleton, &entries, camera.eye);
-        assert!(all.len() > 10 && all.is_sorted_by_key(|draw| (draw.blob, draw.item)));
+        (scene, entries, camera.eye)
+    }
+
+    #[test]
+    fn a_culled_list_is_the_whole_one_with_draws_left_out() {
+        let (mut scene, entries, eye) = scene_of_instances();
+        assert_eq!(draw_list(&scene.skeleton, &[], eye), Draws::default());
+        let all = draw_list(&scene.skeleton, &entries, eye);
+        assert!(all.solid.len() > 10 && all.blending.len() > 10);
         let some: Vec<_> = entries.iter().filter(|_| scene.rng.random_bool(0.5)).copied().collect();
-        let culled = draw_list(&scene.skeleton, &some, camera.eye);
-        let mut rest = all.iter();
-        assert!(culled.iter().all(|draw| rest.any(|other| other == draw)));
+        let culled = draw_list(&scene.skeleton, &some, eye);
+        for (all, culled) in [(&all.solid, &culled.solid), (&all.blending, &culled.blending)] {
+            let mut rest = all.iter();
+            assert!(culled.len() < all.len());
+            assert!(culled.iter().all(|draw| rest.any(|other| other == draw)));
+        }
+    }
+
+    #[test]
+    fn kinds_and_blobs_stay_together_and_what_blends_goes_far_to_near() {
+        let (scene, entries, eye) = scene_of_instances();
+        let Draws { solid, blending } = draw_list(&scene.skeleton, &entries, eye);
+        let blob = |draw: &Draw| scene.skeleton.blob(draw.blob);
+        assert!(solid.is_sorted_by_key(|draw| (kind(blob(draw)), draw.blob, draw.item)));
+        let kinds = solid.chunk_by(|a, b| kind(blob(a)) == kind(blob(b))).count();
+        assert!(kinds > 3 && kinds < 30, "{kinds}");
+        assert!(blending.is_sorted_by(|a, b| {
+            (-a.distance, a.blob, a.item) <= (-b.distance, b.blob, b.item)
+        }));
+        let blends = |draw: &Draw| Class::ALL.iter().any(|c| c.is_blend() && blob(draw).has(*c));
+        assert!(blending.iter().all(blends));
+        assert!(solid.iter().any(blends) && !solid.iter().all(blends));
     }
 
     #[test]
@@ -91,17 +137,18 @@ mod tests {
             })
             .filter(|entry| scene.skeleton.hlod(entry.hlod).level_count > 0)
             .collect();
-        let here = draw_list(&scene.skeleton, &everything, eye);
+        let here = draw_list(&scene.skeleton, &everything, eye).solid;
         let away = |c: f64| c + f64::from(1 << 23);
         for part in &mut scene.skeleton.parts {
             part.transform = protocol::format::NONE;
         }
-        let unplaced = draw_list(&scene.skeleton, &everything, eye);
+        let unplaced = draw_list(&scene.skeleton, &everything, eye).solid;
         assert_ne!(here, unplaced);
         for blob in &mut scene.skeleton.blobs {
             blob.origin = blob.origin.map(away);
         }
-        for (a, b) in draw_list(&scene.skeleton, &everything, eye.map(away)).iter().zip(&unplaced) {
+        let far = draw_list(&scene.skeleton, &everything, eye.map(away)).solid;
+        for (a, b) in far.iter().zip(&unplaced) {
             assert_eq!((a.linear, a.item), (b.linear, b.item));
             assert!((0..3).all(|k| (a.offset[k] - b.offset[k]).abs() < 1e-6));
         }
@@ -118,8 +165,9 @@ mod tests {
         let parts = &scene.skeleton.parts;
         let finite = parts.iter().filter(|part| part.blob > 1).count();
         assert!(finite < parts.len() && parts.len() > count, "{finite}");
-        let draws = draw_list(&scene.skeleton, &entries, [0.0; 3]);
-        assert_eq!(draws.len(), finite);
+        let Draws { solid, blending } = draw_list(&scene.skeleton, &entries, [0.0; 3]);
+        let blending_alone = blending.iter().filter(|draw| !solid.contains(draw)).count();
+        assert_eq!(solid.len() + blending_alone, finite);
         // The root's box, seen from three and four away.
         scene.skeleton.hlods[0].min = [2.0, -1.0, 3.0];
         scene.skeleton.hlods[0].max = [4.0, 1.0, 5.0];

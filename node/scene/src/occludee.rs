@@ -174,7 +174,7 @@ impl Rounding {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::backend::{Backend, Completion, NO_ITEM, Pass, Picture, View};
+    use crate::backend::{Backend, Completion, Draws, NO_ITEM, Part, Pass, Picture, View};
     use crate::draw_list::draw_list;
     use crate::front::{FrontEntry, front};
     use crate::random_scene::RandomScene;
@@ -189,12 +189,8 @@ mod tests {
         completions.pop().unwrap()
     }
 
-    fn picture(
-        backend: &mut impl Backend,
-        view: View,
-        draws: Vec<crate::backend::Draw>,
-    ) -> Picture {
-        match run(backend, Pass::Shade { view, draws, with_depth: true }) {
+    fn picture(backend: &mut impl Backend, view: View, draws: Draws) -> Picture {
+        match run(backend, Pass::Shade { view, draws, with_depth: true, part: Part::WHOLE }) {
             Completion::Picture { picture, .. } => picture,
             other => panic!("{other:?}"),
         }
@@ -221,7 +217,8 @@ mod tests {
         let mut backend = scene.backend(size, rules);
         let view = View::new(&camera, size);
         let draws = |entries: &[FrontEntry]| draw_list(&scene.skeleton, entries, camera.eye);
-        run(&mut backend, Pass::Occluders { view, draws: draws(&occluders) });
+        let occluders = draws(&occluders).solid;
+        run(&mut backend, Pass::Occluders { view, draws: occluders, part: Part::WHOLE });
 
         let mut visible = Vec::new();
         let (mut asked, mut boxes) = (Vec::new(), Vec::new());
@@ -245,7 +242,7 @@ mod tests {
 
         let all = draws(&entries);
         let Completion::Items { mut items, blended, .. } =
-            run(&mut backend, Pass::Items { view, draws: all.clone() })
+            run(&mut backend, Pass::Items { view, draws: all.clone(), part: Part::WHOLE })
         else {
             panic!("no items");
         };

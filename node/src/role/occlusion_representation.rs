@@ -9,7 +9,8 @@ use protocol::telemetry::DrawCounts;
 use protocol::visible::VisibleSet;
 use protocol::telemetry::Missing;
 use scene::backend::{Completion, Pass};
-use scene::draw_list::{Draws, draw_list};
+use scene::backend::Draws;
+use scene::draw_list::draw_list;
 use scene::front::FrontEntry;
 use scene::occluders::map_onto_front;
 

@@ -6,7 +6,7 @@ use protocol::id::HlodId;
 use protocol::telemetry::{DrawCounts, Missing};
 use protocol::visible::VisibleSet;
 use scene::backend::{Completion, Pass, Picture};
-use scene::draw_list::Draws;
+use scene::backend::Draws;
 use scene::front::{Front, FrontEntry};
 
 /// A frame that was drawn.

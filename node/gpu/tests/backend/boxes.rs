@@ -1,12 +1,12 @@
 //! Box tests: queries against marks, against pictures of the same boxes, and the inclusive depth test.
 
 use crate::support::{
-    Mesh, backend, backend_with, cube_over, items, occluders, random_box, view, visible,
+    Mesh, backend, backend_with, cube_over, items, lists, occluders, random_box, view, visible,
 };
 use protocol::settings::Cull;
 use rand::SeedableRng;
 use rand::rngs::StdRng;
-use scene::backend::{Backend, BoxQuery, Completion, Draw, Pass, View};
+use scene::backend::{Backend, BoxQuery, Completion, Draw, Part, Pass, View};
 
 fn scene(random: &mut StdRng, boxes: usize) -> (Vec<Draw>, Vec<BoxQuery>) {
     let walls = (0..60).map(|item| cube_over(0, item, &random_box(random, 96..400, 120))).collect();
@@ -111,9 +111,11 @@ fn answers_stream_in_order_and_depth_stays_as_it_is() {
     let (walls, boxes) = scene(&mut StdRng::seed_from_u64(5), 9000);
     let query = Pass::QueryBoxes { view, boxes, method: Cull::Queries };
     // Two tests around a picture, all submitted before the first poll.
-    let occluders = backend.submit(Pass::Occluders { view, draws: walls.clone() }).unwrap();
+    let part = Part::WHOLE;
+    let pass = Pass::Occluders { view, draws: walls.clone(), part };
+    let occluders = backend.submit(pass).unwrap();
     let first = backend.submit(query.clone()).unwrap();
-    let shade = Pass::Shade { view, draws: vec![walls[0]], with_depth: false };
+    let shade = Pass::Shade { view, draws: lists(&walls[..1]), with_depth: false, part };
     let picture = backend.submit(shade).unwrap();
     let second = backend.submit(query).unwrap();
     let mut completions = Vec::new();

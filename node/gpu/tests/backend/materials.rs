@@ -1,6 +1,6 @@
 //! Textures, holes, blending and single-sided faces: the driver against the rasteriser in Rust.
 
-use crate::support::{Mesh, backend, draw, items, shade, vertex, view};
+use crate::support::{Mesh, backend, draw, items, lists, shade, vertex, view};
 use protocol::format::texture::mips;
 use protocol::format::vertex::Layout;
 use protocol::format::{Blob, Class, NONE, Texture, TexturedVertex, Wrap};
@@ -8,7 +8,7 @@ use protocol::id::BlobId;
 use rand::rngs::StdRng;
 use rand::{Rng, SeedableRng};
 use scene::backend::cpu::CpuBackend;
-use scene::backend::{Backend, Draw, NO_ITEM, Picture};
+use scene::backend::{Backend, Draw, NO_ITEM, Part, Picture};
 
 const WIDTH: u32 = 127;
 const HEIGHT: u32 = 95;
@@ -183,7 +183,8 @@ fn what_blends_has_an_item_layer_of_its_own() {
     both.square(1, Class::BlendDouble, RED, None);
     let draws = [wall(0, 20.0, 0.0, 6.0), wall(1, 2.0, 0.0, 2.0), wall(1, 2.0, 0.0, 7.0)];
     let layers = |backend: &mut dyn Backend| {
-        let pass = scene::backend::Pass::Items { view: view(WIDTH, HEIGHT), draws: draws.to_vec() };
+        let (view, draws, part) = (view(WIDTH, HEIGHT), lists(&draws), Part::WHOLE);
+        let pass = scene::backend::Pass::Items { view, draws, part };
         backend.submit(pass).unwrap();
         let mut completions = Vec::new();
         backend.poll(&mut completions).unwrap();

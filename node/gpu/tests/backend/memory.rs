@@ -1,10 +1,10 @@
 //! Uploading, evicting and uploading again.
 
-use crate::support::{Mesh, backend, draw, shade, view};
+use crate::support::{Mesh, backend, draw, lists, shade, view};
 use protocol::id::BlobId;
 use rand::SeedableRng;
 use rand::rngs::StdRng;
-use scene::backend::{Backend, Draw};
+use scene::backend::{Backend, Draw, Part};
 
 fn soups(count: u64, triangles: usize) -> Vec<Mesh> {
     (0..count).map(|seed| Mesh::soup(&mut StdRng::seed_from_u64(seed), triangles)).collect()
@@ -58,7 +58,8 @@ fn a_blob_may_be_replaced_while_its_picture_is_under_way() {
     meshes[0].upload(&mut backend, 0);
     let first = shade(&mut backend, view, &draws);
     assert!(first != second);
-    let pass = scene::backend::Pass::Shade { view, draws, with_depth: true };
+    let (draws, part) = (lists(&draws), Part::WHOLE);
+    let pass = scene::backend::Pass::Shade { view, draws, with_depth: true, part };
     backend.submit(pass.clone()).unwrap();
     meshes[1].upload(&mut backend, 0);
     backend.submit(pass).unwrap();

@@ -6,7 +6,9 @@ use protocol::id::{BlobId, HlodId};
 use protocol::settings::{Cull, PictureSize};
 use rand::Rng;
 use rand::rngs::StdRng;
-use scene::backend::{Backend, BackendError, BoxQuery, Completion, Draw, Pass, Picture, View};
+use scene::backend::{
+    Backend, BackendError, BoxQuery, Completion, Draw, Draws, Part, Pass, Picture, View,
+};
 
 pub(crate) const NEAR: f32 = 0.125;
 
@@ -148,8 +150,16 @@ pub(crate) fn run(backend: &mut impl Backend, pass: Pass) -> Vec<Completion> {
     }
 }
 
+/// All of them in both lists, of which a backend draws what belongs there: in the order given, and far
+/// to near.
+pub(crate) fn lists(draws: &[Draw]) -> Draws {
+    let mut blending = draws.to_vec();
+    blending.sort_by(|a, b| b.distance.total_cmp(&a.distance));
+    Draws { solid: draws.to_vec(), blending }
+}
+
 pub(crate) fn occluders(backend: &mut impl Backend, view: View, draws: &[Draw]) {
-    run(backend, Pass::Occluders { view, draws: draws.to_vec() });
+    run(backend, Pass::Occluders { view, draws: draws.to_vec(), part: Part::WHOLE });
 }
 
 pub(crate) fn visible(
@@ -168,14 +178,15 @@ pub(crate) fn visible(
 }
 
 pub(crate) fn items(backend: &mut impl Backend, view: View, draws: &[Draw]) -> Vec<u32> {
-    match run(backend, Pass::Items { view, draws: draws.to_vec() }).pop() {
+    match run(backend, Pass::Items { view, draws: lists(draws), part: Part::WHOLE }).pop() {
         Some(Completion::Items { items, .. }) => items,
         other => panic!("items expected, not {other:?}"),
     }
 }
 
 pub(crate) fn shade(backend: &mut impl Backend, view: View, draws: &[Draw]) -> Picture {
-    match run(backend, Pass::Shade { view, draws: draws.to_vec(), with_depth: true }).pop() {
+    let draws = lists(draws);
+    match run(backend, Pass::Shade { view, draws, with_depth: true, part: Part::WHOLE }).pop() {
         Some(Completion::Picture { picture, .. }) => picture,
         other => panic!("a picture expected, not {other:?}"),
     }

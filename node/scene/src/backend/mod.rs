@@ -5,6 +5,9 @@
 
 pub mod cpu;
 pub mod light;
+mod part;
+
+pub use part::{Part, UnderWay};
 
 use protocol::format::{Blob, Texture, Wrap, texture};
 use protocol::id::{BlobId, HlodId};
@@ -32,7 +35,7 @@ pub struct Draw {
     pub linear: [[f32; 3]; 3],
     /// Grid origin relative to the eye.
     pub offset: [f32; 3],
-    /// Distance from the eye to the middle of its hlod's box: what blends is drawn far to near.
+    /// Distance from the eye to the middle of its hlod's box, by which what blends is put in order.
     pub distance: f32,
 }
 
@@ -46,13 +49,13 @@ impl Draw {
     }
 }
 
-/// Indices of the draws that `blends` picks by index, far to near; at one distance in the order given.
-///
-/// Of a list with draws left out it is the same order with those left out.
-pub fn far_to_near(draws: &[Draw], blends: impl Fn(usize) -> bool) -> Vec<usize> {
-    let mut order: Vec<usize> = (0..draws.len()).filter(|&index| blends(index)).collect();
-    order.sort_by(|&a, &b| draws[b].distance.total_cmp(&draws[a].distance));
-    order
+/// What a picture is drawn of. A draw with classes of both kinds stands in both lists.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Draws {
+    /// Of these the classes that do not blend are drawn. Neighbours of one blob are drawn class by class.
+    pub solid: Vec<Draw>,
+    /// Of these the classes that blend are drawn, after all that is solid, draw by draw.
+    pub blending: Vec<Draw>,
 }
 
 /// A texture's record and its mips as they lie in the file.
@@ -87,16 +90,18 @@ pub struct BoxQuery {
 
 /// Work for a backend.
 ///
-/// Draws are rendered class by class in the order given, but what blends in that of [`far_to_near`].
-/// Single-sided triangles are drawn from their front alone, in every pass.
+/// Draws are rendered in the order given, see [`Draws`]. Single-sided triangles are drawn from their front
+/// alone, in every pass. A pass that draws may come in consecutive [parts](Part).
 #[derive(Debug, Clone, PartialEq)]
 pub enum Pass {
     /// Clear the occlusion depth and render what is opaque of these into it. It stays with the backend.
     Occluders {
         /// The camera.
         view: View,
-        /// Occluders.
+        /// Occluders, as [`Draws::solid`].
         draws: Vec<Draw>,
+        /// Which part of the pass this is.
+        part: Part,
     },
     /// Test boxes against the occlusion depth, which stays as it is.
     QueryBoxes {
@@ -112,20 +117,24 @@ pub enum Pass {
         /// The camera.
         view: View,
         /// What is seen.
-        draws: Vec<Draw>,
-        /// Return the depth as well.
+        draws: Draws,
+        /// Return the depth as well; the part that closes decides.
         with_depth: bool,
+        /// Which part of the pass this is.
+        part: Part,
     },
     /// Draw item ids with their own depth and read them back.
     Items {
         /// The camera.
         view: View,
         /// What is seen.
-        draws: Vec<Draw>,
+        draws: Draws,
+        /// Which part of the pass this is.
+        part: Part,
     },
 }
 
-/// Names a submitted pass.
+/// Names a submitted pass, or part of one.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Ticket(pub u64);
 
@@ -141,7 +150,7 @@ pub struct Picture {
 /// Stands in the item buffer where nothing was drawn.
 pub const NO_ITEM: u32 = u32::MAX;
 
-/// What came of a pass.
+/// What came of a pass; its ticket is that of the part that closed it.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Completion {
     /// The depth is made.
@@ -213,11 +222,13 @@ pub trait Backend {
     /// Forgets a blob.
     fn evict(&mut self, blob: BlobId);
 
-    /// Starts a pass.
+    /// Starts a pass or goes on with one.
+    ///
+    /// A part out of turn and a blob that is not there are the caller's mistakes and panic.
     fn submit(&mut self, pass: Pass) -> Result<Ticket, BackendError>;
 
     /// Appends what has come of submitted passes, in order, waiting until there is at least one
-    /// completion if any pass is under way.
+    /// completion if any pass is under way. Parts that do not close their pass are not waited for.
     fn poll(&mut self, completions: &mut Vec<Completion>) -> Result<(), BackendError>;
 }
 
@@ -225,23 +236,11 @@ pub trait Backend {
 mod tests {
     use super::*;
 
-    fn draw(item: u32, distance: f32) -> Draw {
-        let linear = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
-        Draw { blob: BlobId(0), item: HlodId(item), linear, offset: [0.0; 3], distance }
-    }
-
-    #[test]
-    fn what_blends_is_drawn_far_to_near() {
-        assert!(far_to_near(&[], |_| true).is_empty());
-        let draws: Vec<Draw> =
-            (0..).zip([1.0, 3.0, 2.0, 3.0, 0.0]).map(|(i, d)| draw(i, d)).collect();
-        assert_eq!(far_to_near(&draws, |_| true), [1, 3, 2, 0, 4]);
-        assert_eq!(far_to_near(&draws, |index| index != 1), [3, 2, 0, 4]);
-    }
-
     #[test]
     fn an_odd_number_of_mirrors_mirrors() {
-        let mut draw = draw(0, 0.0);
+        let linear = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+        let (blob, item) = (BlobId(0), HlodId(0));
+        let mut draw = Draw { blob, item, linear, offset: [0.0; 3], distance: 0.0 };
         for mirrored in [true, false, true] {
             let k = draw.linear.iter().position(|column| column.iter().all(|&c| c >= 0.0)).unwrap();
             draw.linear[k] = draw.linear[k].map(|c| -c * 1e-20);

@@ -71,11 +71,6 @@ impl Mesh {
     pub(super) fn triangles_of(&self, class: Class) -> Range<usize> {
         self.classes[class as usize].clone()
     }
-
-    /// Any of its triangles blends.
-    pub(super) fn blends(&self) -> bool {
-        Class::ALL.iter().any(|class| class.is_blend() && !self.triangles_of(*class).is_empty())
-    }
 }
 
 #[cfg(test)]
@@ -92,7 +87,7 @@ mod tests {
     #[test]
     fn nothing_is_a_mesh() {
         let mesh = Mesh::read(ID, &blob(0, 0), &[]).unwrap();
-        assert!(mesh.vertices.is_empty() && mesh.triangles.is_empty() && !mesh.blends());
+        assert!(mesh.vertices.is_empty() && mesh.triangles.is_empty());
     }
 
     #[test]
@@ -121,7 +116,7 @@ mod tests {
         let made = Blob { layout: 1, classes: [1, 0, 0, 1, 1, 0], ..blob(3, 3) };
         let mesh = Mesh::read(ID, &made, &bytes).unwrap();
         assert_eq!(mesh.triangles_of(Class::MaskDouble), 1..2);
-        assert!(mesh.blends() && mesh.triangles_of(Class::BlendDouble).is_empty());
+        assert!(mesh.triangles_of(Class::BlendDouble).is_empty());
         assert_eq!((mesh.texturing[0].tex_coord, mesh.texturing[0].texture), ([2.5, 0.0], 7));
     }
 }

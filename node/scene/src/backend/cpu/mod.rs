@@ -4,6 +4,7 @@
 //! Passes are carried out as they are submitted, on one thread.
 
 mod boxes;
+mod canvas;
 mod mesh;
 mod paint;
 mod project;
@@ -13,9 +14,11 @@ mod target;
 mod texture;
 
 use super::{
-    Backend, BackendError, BoxQuery, Completion, Draw, Pass, Picture, TextureUpload, Ticket, View,
+    Backend, BackendError, BoxQuery, Completion, Draw, Part, Pass, Picture, TextureUpload, Ticket,
+    UnderWay, View,
 };
 use crate::occludee::Rules;
+use canvas::{Canvas, Layer};
 use mesh::Mesh;
 use paint::Painter;
 use project::Projection;
@@ -37,6 +40,9 @@ pub struct CpuBackend {
     occlusion: Option<(Depth, TileMinima)>,
     textures: Textures,
     srgb: SrgbEncoder,
+    under_way: UnderWay,
+    /// What the parts of the pass under way have drawn.
+    canvas: Option<Canvas>,
     next_ticket: u64,
     done: VecDeque<Completion>,
 }
@@ -56,6 +62,8 @@ impl CpuBackend {
             occlusion: None,
             textures: Textures::new(),
             srgb: SrgbEncoder::new(),
+            under_way: UnderWay::default(),
+            canvas: None,
             next_ticket: 0,
             done: VecDeque::new(),
         }
@@ -66,9 +74,47 @@ impl CpuBackend {
         Projection::new(view)
     }
 
-    fn painter<'a>(&'a self, view: &View, draws: &'a [Draw]) -> Painter<'a> {
+    /// Draws a part of a pass. The canvas, once the pass is drawn to its end.
+    fn draw(
+        &mut self,
+        pass: &Pass,
+        view: &View,
+        [solid, blending]: [&[Draw]; 2],
+        part: Part,
+    ) -> Option<Canvas> {
+        let left = self.canvas.take();
+        let mut canvas = left.unwrap_or_else(|| Canvas::new(pass, self.size, self.inclusive));
         let projection = self.projection(view);
-        Painter::new(projection, draws, &self.meshes, &self.textures, self.inclusive)
+        let painter = |draws| Painter::new(&projection, draws, &self.meshes, &self.textures);
+        canvas.draw(&painter(solid), &painter(blending));
+        if part.closes {
+            return Some(canvas);
+        }
+        self.canvas = Some(canvas);
+        None
+    }
+
+    /// What comes of a pass that was drawn to its end.
+    fn answer(
+        &mut self,
+        ticket: Ticket,
+        Canvas { depth, layer }: Canvas,
+        with_depth: bool,
+    ) -> Completion {
+        match layer {
+            Layer::Bare => {
+                let tiles = depth.tile_minima();
+                self.occlusion = Some((depth, tiles));
+                Completion::Occluders { ticket }
+            }
+            Layer::Colors(colors) => {
+                let rgba =
+                    colors.into_iter().flat_map(|linear| self.srgb.encode_rgba(linear)).collect();
+                let depth = with_depth.then(|| depth.into_pixels());
+                Completion::Picture { ticket, picture: Picture { rgba, depth } }
+            }
+            Layer::Items { items, blended } => Completion::Items { ticket, items, blended },
+        }
     }
 
     fn query(&self, view: &View, boxes: &[BoxQuery]) -> Vec<bool> {
@@ -77,12 +123,6 @@ impl CpuBackend {
             panic!("boxes are tested before any occluders");
         };
         boxes.iter().map(|query| boxes::is_visible(&projection, query, depth, tiles)).collect()
-    }
-
-    fn shade(&self, view: &View, draws: &[Draw], with_depth: bool) -> Picture {
-        let (colors, depth) = self.painter(view, draws).picture();
-        let rgba = colors.into_iter().flat_map(|linear| self.srgb.encode_rgba(linear)).collect();
-        Picture { rgba, depth: with_depth.then(|| depth.into_pixels()) }
     }
 }
 
@@ -107,27 +147,25 @@ impl Backend for CpuBackend {
     fn submit(&mut self, pass: Pass) -> Result<Ticket, BackendError> {
         let ticket = Ticket(self.next_ticket);
         self.next_ticket += 1;
-        let completion = match pass {
-            Pass::Occluders { view, draws } => {
-                let depth = self.painter(&view, &draws).occluders();
-                let tiles = depth.tile_minima();
-                self.occlusion = Some((depth, tiles));
-                Completion::Occluders { ticket }
-            }
+        self.under_way.take(&pass);
+        let (view, lists, part, with_depth) = match &pass {
             Pass::QueryBoxes { view, boxes, method: _ } => {
-                let visible = self.query(&view, &boxes);
-                Completion::Boxes { ticket, first: 0, visible, last: true }
+                let visible = self.query(view, boxes);
+                self.done.push_back(Completion::Boxes { ticket, first: 0, visible, last: true });
+                return Ok(ticket);
             }
-            Pass::Shade { view, draws, with_depth } => {
-                let picture = self.shade(&view, &draws, with_depth);
-                Completion::Picture { ticket, picture }
+            Pass::Occluders { view, draws, part } => (view, [&draws[..], &[]], *part, false),
+            Pass::Shade { view, draws, with_depth, part } => {
+                (view, [&draws.solid[..], &draws.blending], *part, *with_depth)
             }
-            Pass::Items { view, draws } => {
-                let (items, blended) = self.painter(&view, &draws).items();
-                Completion::Items { ticket, items, blended }
+            Pass::Items { view, draws, part } => {
+                (view, [&draws.solid[..], &draws.blending], *part, false)
             }
         };
-        self.done.push_back(completion);
+        if let Some(canvas) = self.draw(&pass, view, lists, part) {
+            let completion = self.answer(ticket, canvas, with_depth);
+            self.done.push_back(completion);
+        }
         Ok(ticket)
     }
 

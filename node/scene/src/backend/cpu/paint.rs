@@ -1,4 +1,4 @@
-//! One pass over a list of draws: which triangle owns each pixel, its colour, and what blends over it.
+//! A list of draws: which of them owns each pixel, its colour, and what blends over it.
 
 use super::mesh::Mesh;
 use super::project::{Placed, Projection, apply};
@@ -6,7 +6,7 @@ use super::raster::{Span, Turns};
 use super::shade::{Pixel, Placement, Surface};
 use super::target::{Depth, pixel_count};
 use super::texture::Textures;
-use crate::backend::{Draw, NO_ITEM, far_to_near, light};
+use crate::backend::Draw;
 use protocol::format::Class;
 use protocol::id::BlobId;
 use std::collections::HashMap;
@@ -16,17 +16,17 @@ use std::ops::ControlFlow;
 const NO_OWNER: u64 = u64::MAX;
 
 const OPAQUE: [Class; 2] = [Class::OpaqueSingle, Class::OpaqueDouble];
-const MASK: [Class; 2] = [Class::MaskSingle, Class::MaskDouble];
+const SOLID: [Class; 4] =
+    [Class::OpaqueSingle, Class::OpaqueDouble, Class::MaskSingle, Class::MaskDouble];
 const BLEND: [Class; 2] = [Class::BlendSingle, Class::BlendDouble];
 
 /// Draws with all they need.
 pub(super) struct Painter<'a> {
-    projection: Projection,
+    projection: &'a Projection,
+    eye_from_clip: [[f64; 3]; 3],
     draws: &'a [Draw],
     meshes: Vec<&'a Mesh>,
     textures: &'a Textures,
-    /// Equal depths pass.
-    inclusive: bool,
 }
 
 /// A triangle of a draw: `draw << 32 | triangle`, and itself, made when it is first asked for.
@@ -34,96 +34,105 @@ struct Latest(Option<(u64, Surface)>);
 
 impl<'a> Painter<'a> {
     pub(super) fn new(
-        projection: Projection,
+        projection: &'a Projection,
         draws: &'a [Draw],
         meshes: &'a HashMap<BlobId, Mesh>,
         textures: &'a Textures,
-        inclusive: bool,
     ) -> Self {
         let mesh = |draw: &Draw| {
             let found = meshes.get(&draw.blob);
             found.unwrap_or_else(|| panic!("mesh {} is drawn but not uploaded", draw.blob))
         };
         let meshes = draws.iter().map(mesh).collect();
-        Self { projection, draws, meshes, textures, inclusive }
+        let eye_from_clip = projection.eye_from_clip();
+        Self { projection, eye_from_clip, draws, meshes, textures }
     }
 
-    /// The depth of what is opaque.
-    pub(super) fn occluders(&self) -> Depth {
-        let mut depth = Depth::new(self.projection.size, self.inclusive);
-        self.rasterise(self.class_by_class(OPAQUE), |_, span| depth.write(&span));
-        depth
+    /// Writes the depth of what is opaque.
+    pub(super) fn occlude(&self, depth: &mut Depth) {
+        self.rasterise(self.blob_by_blob(&OPAQUE), |_, _, span| depth.write(&span));
     }
 
-    /// Linear colours and depth.
-    pub(super) fn picture(&self) -> (Vec<[f32; 3]>, Depth) {
-        let (depth, owners) = self.owners();
+    /// Writes depth and linear colours of what is solid.
+    pub(super) fn paint(&self, depth: &mut Depth, colors: &mut [[f32; 3]]) {
+        // Colours are worked out once a pixel, when all that could hide it has been drawn.
+        let mut owners = vec![NO_OWNER; pixel_count(self.projection.size)];
+        self.own(depth, &mut owners, |owner| owner);
         let placements = self.placements();
-        let eye_from_clip = self.projection.eye_from_clip();
         let mut latest = Latest(None);
-        let mut color = |owner: u64, x: u32, y: u32| {
-            let pixel = self.pixel(x, y);
-            let [ndc_x, ndc_y] = pixel.center;
-            let ray = eye_from_clip.map(|[a, b, c]| a * ndc_x + b * ndc_y + c);
-            latest.of(owner, self, &placements).color(self.textures, pixel, ray)
-        };
         let width = self.projection.size.width as usize;
-        let mut colors = Vec::with_capacity(owners.len());
-        for (row, y) in owners.chunks_exact(width).zip(0..) {
-            for (&owner, x) in row.iter().zip(0..) {
-                colors.push(match owner {
-                    NO_OWNER => light::SKY,
-                    _ => {
-                        let [r, g, b, _] = color(owner, x, y);
-                        [r, g, b]
-                    }
-                });
+        let rows = owners.chunks_exact(width).zip(colors.chunks_exact_mut(width));
+        for ((owners, colors), y) in rows.zip(0..) {
+            for ((&owner, color), x) in owners.iter().zip(colors).zip(0..) {
+                if owner != NO_OWNER {
+                    let [r, g, b, _] = self.color(&mut latest, &placements, owner, [x, y]);
+                    *color = [r, g, b];
+                }
             }
         }
-        self.rasterise(self.blended(), |owner, span| {
+    }
+
+    /// Lays the colours of what blends over `colors`.
+    pub(super) fn blend(&self, depth: &Depth, colors: &mut [[f32; 3]]) {
+        let placements = self.placements();
+        let mut latest = Latest(None);
+        self.rasterise(self.draw_by_draw(&BLEND), |owner, _, span| {
             depth.visit_passing(&span, |at, x| {
-                let [r, g, b, alpha] = color(owner, x, span.y);
+                let [r, g, b, alpha] = self.color(&mut latest, &placements, owner, [x, span.y]);
                 for (under, over) in colors[at].iter_mut().zip([r, g, b]) {
                     *under += (over - *under) * alpha;
                 }
             });
         });
-        (colors, depth)
     }
 
-    /// Items that do not blend, and those that do.
-    pub(super) fn items(&self) -> (Vec<u32>, Vec<u32>) {
-        let (depth, owners) = self.owners();
-        let item = |owner: u64| self.draws[(owner >> 32) as usize].item.0;
-        let mut blended = vec![NO_ITEM; owners.len()];
-        self.rasterise(self.blended(), |owner, span| {
-            depth.visit_passing(&span, |at, _| blended[at] = item(owner));
-        });
-        let items = owners.into_iter().map(|o| if o == NO_OWNER { NO_ITEM } else { item(o) });
-        (items.collect(), blended)
+    /// Writes depth and items of what is solid.
+    pub(super) fn mark(&self, depth: &mut Depth, items: &mut [u32]) {
+        self.own(depth, items, |owner| self.item(owner));
     }
 
-    /// Depth, and for each pixel `draw << 32 | triangle` of its owner, which does not blend.
-    fn owners(&self) -> (Depth, Vec<u64>) {
-        let size = self.projection.size;
-        let mut depth = Depth::new(size, self.inclusive);
-        let mut owners = vec![NO_OWNER; pixel_count(size)];
-        self.rasterise(self.class_by_class(OPAQUE), |owner, span| {
-            depth.write_owned(&span, owner, &mut owners);
+    /// Writes items of what blends.
+    pub(super) fn mark_blending(&self, depth: &Depth, blended: &mut [u32]) {
+        self.rasterise(self.draw_by_draw(&BLEND), |owner, _, span| {
+            depth.visit_passing(&span, |at, _| blended[at] = self.item(owner));
         });
+    }
+
+    /// Writes depth of what is solid, and `mark` of its owner, `draw << 32 | triangle`, wherever it passes.
+    fn own<T: Copy>(&self, depth: &mut Depth, marks: &mut [T], mark: impl Fn(u64) -> T) {
         let placements = self.placements();
         let mut latest = Latest(None);
-        self.rasterise(self.class_by_class(MASK), |owner, span| {
+        self.rasterise(self.blob_by_blob(&SOLID), |owner, class, span| {
+            if class.is_opaque() {
+                return depth.write_owned(&span, mark(owner), marks);
+            }
             let surface = latest.of(owner, self, &placements);
-            depth.write_owned_where(&span, owner, &mut owners, |x| {
+            depth.write_owned_where(&span, mark(owner), marks, |x| {
                 surface.is_there(self.textures, self.pixel(x, span.y))
             });
         });
-        (depth, owners)
+    }
+
+    fn item(&self, owner: u64) -> u32 {
+        self.draws[(owner >> 32) as usize].item.0
+    }
+
+    /// Linear colour and alpha of a triangle at a pixel.
+    fn color(
+        &self,
+        latest: &mut Latest,
+        placements: &[Placement],
+        owner: u64,
+        [x, y]: [u32; 2],
+    ) -> [f32; 4] {
+        let pixel = self.pixel(x, y);
+        let [ndc_x, ndc_y] = pixel.center;
+        let ray = self.eye_from_clip.map(|[a, b, c]| a * ndc_x + b * ndc_y + c);
+        latest.of(owner, self, placements).color(self.textures, pixel, ray)
     }
 
     fn placements(&self) -> Vec<Placement> {
-        self.draws.iter().map(|draw| Placement::new(&self.projection, draw)).collect()
+        self.draws.iter().map(|draw| Placement::new(self.projection, draw)).collect()
     }
 
     fn pixel(&self, x: u32, y: u32) -> Pixel {
@@ -133,25 +142,33 @@ impl<'a> Painter<'a> {
         Pixel { center: center(x, y), block: [[left, right], [upper, lower]] }
     }
 
-    /// Indices of draws with classes: all of one class before any of the next, so that the order of what
-    /// is left of a list does not depend on what is left out.
-    fn class_by_class(&self, classes: [Class; 2]) -> impl Iterator<Item = (usize, Class)> + use<> {
-        let count = self.draws.len();
-        classes.into_iter().flat_map(move |class| (0..count).map(move |draw| (draw, class)))
+    /// Indices of draws with classes: the instances of a blob that follow each other class by class.
+    fn blob_by_blob<'c>(
+        &self,
+        classes: &'c [Class],
+    ) -> impl Iterator<Item = (usize, Class)> + use<'_, 'c, 'a> {
+        let mut begin = 0;
+        self.draws.chunk_by(|a, b| a.blob == b.blob).flat_map(move |instances| {
+            let indices = begin..begin + instances.len();
+            begin = indices.end;
+            classes.iter().flat_map(move |&class| indices.clone().map(move |draw| (draw, class)))
+        })
     }
 
-    /// The same for what blends.
-    fn blended(&self) -> impl Iterator<Item = (usize, Class)> + use<> {
-        let blends: Vec<bool> = self.meshes.iter().map(|mesh| mesh.blends()).collect();
-        let order = far_to_near(self.draws, |index| blends[index]);
-        order.into_iter().flat_map(|draw| BLEND.map(|class| (draw, class)))
+    /// Indices of draws with classes, one draw after the other.
+    fn draw_by_draw<'c>(
+        &self,
+        classes: &'c [Class],
+    ) -> impl Iterator<Item = (usize, Class)> + use<'c> {
+        let draws = 0..self.draws.len();
+        draws.flat_map(move |draw| classes.iter().map(move |&class| (draw, class)))
     }
 
-    /// Hands every span to `span`, with `draw << 32 | triangle`.
+    /// Hands every span to `span`, with `draw << 32 | triangle` and its class.
     fn rasterise(
         &self,
         order: impl Iterator<Item = (usize, Class)>,
-        mut span: impl FnMut(u64, Span),
+        mut span: impl FnMut(u64, Class, Span),
     ) {
         let mut placed: Vec<Placed> = Vec::new();
         for (index, class) in order {
@@ -177,7 +194,7 @@ impl<'a> Painter<'a> {
                     drawn,
                     |k| clip(corners[k]),
                     |part| {
-                        span((index as u64) << 32 | number as u64, part);
+                        span((index as u64) << 32 | number as u64, class, part);
                         ControlFlow::Continue(())
                     },
                 );

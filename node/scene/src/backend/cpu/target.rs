@@ -20,6 +20,7 @@ impl Depth {
         Self { size, inclusive, pixels: vec![0.0; pixel_count(size)] }
     }
 
+    /// All depths, top row first.
     pub(super) fn into_pixels(self) -> Vec<f32> {
         self.pixels
     }
@@ -42,14 +43,14 @@ impl Depth {
         }
     }
 
-    /// Writes depth, and `owner` wherever it passes.
-    pub(super) fn write_owned(&mut self, span: &Span, owner: u64, owners: &mut [u64]) {
+    /// Writes depth, and `mark` wherever it passes.
+    pub(super) fn write_owned<T: Copy>(&mut self, span: &Span, mark: T, marks: &mut [T]) {
         let range = self.range(span);
         for i in 0..span.len {
             let (z, at) = (depth_at(span, i), range.start + i as usize);
             if self.passes(z, self.pixels[at]) {
                 self.pixels[at] = z;
-                owners[at] = owner;
+                marks[at] = mark;
             }
         }
     }
@@ -67,11 +68,11 @@ impl Depth {
     }
 
     /// As [`Depth::write_owned`], but only in those columns where `is_there` says so.
-    pub(super) fn write_owned_where(
+    pub(super) fn write_owned_where<T: Copy>(
         &mut self,
         span: &Span,
-        owner: u64,
-        owners: &mut [u64],
+        mark: T,
+        marks: &mut [T],
         mut is_there: impl FnMut(u32) -> bool,
     ) {
         let range = self.range(span);
@@ -79,7 +80,7 @@ impl Depth {
             let (z, at) = (depth_at(span, i), range.start + i as usize);
             if self.passes(z, self.pixels[at]) && is_there(span.x + i) {
                 self.pixels[at] = z;
-                owners[at] = owner;
+                marks[at] = mark;
             }
         }
     }

@@ -1,4 +1,4 @@
-use super::super::{NO_ITEM, light};
+use super::super::{Draws, NO_ITEM, light};
 use super::*;
 use protocol::format::{Class, Vertex};
 use protocol::id::HlodId;
@@ -58,6 +58,22 @@ fn backend_with(size: PictureSize, sheets: &[(u32, u32, Vec<u8>)]) -> CpuBackend
     backend
 }
 
+/// A whole pass of what is solid.
+fn shade(view: View, solid: Vec<Draw>, with_depth: bool) -> Pass {
+    let draws = Draws { solid, ..Draws::default() };
+    Pass::Shade { view, draws, with_depth, part: Part::WHOLE }
+}
+
+/// A whole pass of what is solid.
+fn items(view: View, solid: Vec<Draw>) -> Pass {
+    let draws = Draws { solid, ..Draws::default() };
+    Pass::Items { view, draws, part: Part::WHOLE }
+}
+
+fn occluders(view: View, draws: Vec<Draw>) -> Pass {
+    Pass::Occluders { view, draws, part: Part::WHOLE }
+}
+
 fn run(backend: &mut CpuBackend, pass: Pass) -> Completion {
     let ticket = backend.submit(pass).unwrap();
     let mut completions = Vec::new();
@@ -70,12 +86,12 @@ fn run(backend: &mut CpuBackend, pass: Pass) -> Completion {
 fn nothing_drawn_is_sky() {
     let mut backend = CpuBackend::new(SIZE);
     let view = view(SIZE);
-    let pass = Pass::Shade { view, draws: vec![], with_depth: true };
+    let pass = shade(view, vec![], true);
     let Completion::Picture { picture, .. } = run(&mut backend, pass) else { panic!() };
     let sky = SrgbEncoder::new().encode_rgba(light::SKY);
     assert!(picture.rgba.chunks(4).all(|pixel| pixel == sky));
     assert_eq!(picture.depth.unwrap(), vec![0.0; 200]);
-    let pass = Pass::Items { view, draws: vec![] };
+    let pass = items(view, vec![]);
     let Completion::Items { items, .. } = run(&mut backend, pass) else { panic!() };
     assert_eq!(items, vec![NO_ITEM; 200]);
     assert!(backend.poll(&mut Vec::new()).is_ok());
@@ -86,7 +102,7 @@ fn a_sheet_is_lit_from_either_side() {
     for normal in [[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]] {
         let mut backend = backend_with(SIZE, &[sheet(3, normal, 0xff00_80ff)]);
         let draws = vec![filling(0, 5, 3, 2.0, SIZE)];
-        let pass = Pass::Shade { view: view(SIZE), draws, with_depth: true };
+        let pass = shade(view(SIZE), draws, true);
         let Completion::Picture { picture, .. } = run(&mut backend, pass) else { panic!() };
         // The viewer's side faces -z, away from the sun.
         let lit = [1.0, 128.0 / 255.0, 0.0].map(|c| c * light::AMBIENT);
@@ -105,7 +121,7 @@ fn a_mirrored_or_stretched_placement_keeps_normals_upright() {
         draw.linear[0][0] *= mirror;
         draw.offset[0] *= mirror;
         let stretch = draw.linear[1][1];
-        let pass = Pass::Shade { view: view(SIZE), draws: vec![draw], with_depth: false };
+        let pass = shade(view(SIZE), vec![draw], false);
         let Completion::Picture { picture, .. } = run(&mut backend, pass) else { panic!() };
         let n = [0.0, 0.6 / stretch, -0.8];
         let length = (n[1] * n[1] + n[2] * n[2]).sqrt();
@@ -122,10 +138,10 @@ fn the_nearest_owns_a_pixel_and_hides_boxes() {
     let mut backend = backend_with(SIZE, &[sheet(3, [0.0, 0.0, 1.0], 7)]);
     let view = view(SIZE);
     let draws = vec![filling(0, 4, 3, 2.0, SIZE), filling(0, 9, 3, 3.0, SIZE)];
-    let pass = Pass::Items { view, draws: draws.clone() };
+    let pass = items(view, draws.clone());
     let Completion::Items { items, .. } = run(&mut backend, pass) else { panic!() };
     assert_eq!(items, vec![4; 200]);
-    run(&mut backend, Pass::Occluders { view, draws });
+    run(&mut backend, occluders(view, draws));
     let cube = |z: f32| BoxQuery { min: [-0.5, -0.5, z], max: [0.5, 0.5, z + 1.0] };
     let boxes = vec![cube(2.5), cube(1.5), cube(2.0), cube(2.0001), cube(-3.0)];
     for _ in 0..2 {
@@ -135,7 +151,7 @@ fn the_nearest_owns_a_pixel_and_hides_boxes() {
         };
         assert_eq!((visible, first, last), (vec![false, true, true, false, false], 0, true));
     }
-    run(&mut backend, Pass::Occluders { view, draws: vec![] });
+    run(&mut backend, occluders(view, vec![]));
     let pass = Pass::QueryBoxes { view, boxes, method: Cull::Queries };
     let Completion::Boxes { visible, .. } = run(&mut backend, pass) else { panic!() };
     assert_eq!(visible, [true, true, true, true, false]);
@@ -147,5 +163,5 @@ fn an_evicted_mesh_cannot_be_drawn() {
     let mut backend = backend_with(SIZE, &[sheet(1, [0.0, 0.0, 1.0], 7)]);
     backend.evict(BlobId(0));
     let draws = vec![filling(0, 4, 1, 2.0, SIZE)];
-    let _ = backend.submit(Pass::Items { view: view(SIZE), draws });
+    let _ = backend.submit(items(view(SIZE), draws));
 }

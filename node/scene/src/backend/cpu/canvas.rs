@@ -1,0 +1,54 @@
+//! What a pass is drawn on, kept from one of its parts to the next.
+
+use super::paint::Painter;
+use super::target::{Depth, pixel_count};
+use crate::backend::{NO_ITEM, Pass, light};
+use protocol::settings::PictureSize;
+
+/// Depth, and what goes with it.
+pub(super) struct Canvas {
+    pub(super) depth: Depth,
+    pub(super) layer: Layer,
+}
+
+/// What a pass draws beside depth.
+pub(super) enum Layer {
+    /// Nothing.
+    Bare,
+    /// Linear colours.
+    Colors(Vec<[f32; 3]>),
+    /// Items of what is solid, and of what blends.
+    Items { items: Vec<u32>, blended: Vec<u32> },
+}
+
+impl Canvas {
+    /// An empty one for `pass`.
+    pub(super) fn new(pass: &Pass, size: PictureSize, inclusive: bool) -> Self {
+        let pixels = pixel_count(size);
+        let layer = match pass {
+            Pass::Occluders { .. } | Pass::QueryBoxes { .. } => Layer::Bare,
+            Pass::Shade { .. } => Layer::Colors(vec![light::SKY; pixels]),
+            Pass::Items { .. } => {
+                Layer::Items { items: vec![NO_ITEM; pixels], blended: vec![NO_ITEM; pixels] }
+            }
+        };
+        Self { depth: Depth::new(size, inclusive), layer }
+    }
+
+    /// Draws what is solid of one list and then what blends of another; of what is solid, a bare one
+    /// takes what is opaque.
+    pub(super) fn draw(&mut self, solid: &Painter<'_>, blending: &Painter<'_>) {
+        let Self { depth, layer } = self;
+        match layer {
+            Layer::Bare => solid.occlude(depth),
+            Layer::Colors(colors) => {
+                solid.paint(depth, colors);
+                blending.blend(depth, colors);
+            }
+            Layer::Items { items, blended } => {
+                solid.mark(depth, items);
+                blending.mark_blending(depth, blended);
+            }
+        }
+    }
+}
