@@ -49,7 +49,7 @@ pub(crate) struct Loader {
 pub(crate) enum Drawn {
     /// All of it.
     Whole,
-    /// A blob turned out to be unreadable: what is drawn must be chosen anew.
+    /// A blob turned out to be unreadable: the pass was ended early, and what is drawn must be chosen anew.
     Lost,
 }
 
@@ -119,8 +119,10 @@ impl Loader {
             let arrival = self.io.arrivals.recv().map_err(|_| RoleError::IoThread)?;
             self.take_in(backend, arrival)?;
         }
-        for blob in blobs.into_iter().filter(|blob| self.residency.holds(*blob)) {
-            self.residency.touch(blob, Stamp::MAX);
+        for blob in blobs {
+            if self.residency.holds(blob) {
+                self.residency.touch(blob, Stamp::MAX);
+            }
         }
         Ok(())
     }
@@ -174,6 +176,7 @@ impl Loader {
                 self.take_in_for(backend, arrival, &mut runs)?;
             }
             if runs.blobs().any(|blob| self.lost[blob.index()]) {
+                submit(backend, Draws::default(), Part { opens, closes: true })?;
                 return Ok(Drawn::Lost);
             }
         }

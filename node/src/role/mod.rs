@@ -139,15 +139,12 @@ impl<'a> Stage<'a> {
             backend.submit(pass(view, draws, part))?;
             Ok(())
         })?;
-        if drawn == Drawn::Lost {
-            return Ok(None);
-        }
         let mut completions = Vec::new();
         while completions.is_empty() {
             self.backend.poll(&mut completions)?;
         }
         assert_eq!(completions.len(), 1, "one pass, one answer");
-        Ok(completions.pop())
+        Ok(completions.pop().filter(|_| drawn == Drawn::Whole))
     }
 
     /// Triangles of `entries` at their levels.
@@ -186,11 +183,10 @@ impl<'a> Stage<'a> {
     }
 }
 
-impl From<&Available> for Missing {
-    fn from(shown: &Available) -> Self {
-        let Available { replaced, holes, error_px, .. } = *shown;
-        Self { replaced, holes, error_px }
-    }
+/// What was not there of what is shown.
+fn missing(shown: &Available) -> Missing {
+    let Available { replaced, holes, error_px, .. } = *shown;
+    Missing { replaced, holes, error_px }
 }
 
 /// First 8 bytes, little-endian, of the BLAKE3 of a picture's RGBA bytes.

@@ -1,9 +1,9 @@
 //! RVG(i): the picture of frame i, V_i drawn under C_i (paper 004, section 4.3).
 
-use super::{RoleError, Stage};
+use super::{RoleError, Stage, missing};
 use protocol::camera::Camera;
 use protocol::id::HlodId;
-use protocol::telemetry::{DrawCounts, Missing};
+use protocol::telemetry::DrawCounts;
 use protocol::visible::VisibleSet;
 use scene::backend::{Completion, Pass, Picture};
 use scene::backend::Draws;
@@ -38,7 +38,7 @@ pub(crate) fn run(
     let counts = DrawCounts {
         hlods: shown.entries.len() as u32,
         triangles: stage.triangles(&shown.entries),
-        missing: Missing::from(&shown),
+        missing: missing(&shown),
         ..DrawCounts::default()
     };
     Ok(Drawn { counts, picture, draws })
