@@ -34,8 +34,7 @@ pub(crate) fn open<'a>(
     let always = always(&skeleton, settings.residency);
     let memory = settings.memory.unwrap_or_else(budget::by_itself);
     let budget = budget::share_out(memory, &skeleton, &always)?;
-    let mut backend = choose_backend(settings.backend, settings.size)?;
-    backend.set_budget(budget.device);
+    let mut backend = choose_backend(settings.backend, settings.size, budget.device)?;
     upload_textures(&store, backend.as_mut())?;
     let forecaster = Forecaster::new(Arc::clone(&skeleton), settings.size, settings.lod_px);
     let digest = store.digest();
