@@ -22,7 +22,7 @@ use pictures::PictureError;
 use protocol::message::{FailureKind, Token};
 use role::RoleError;
 use runner::{Start, drive};
-use scene::store::{OpenError, StoreError, failure_kind};
+use scene::store::{OpenError, failure_kind};
 use tokio::io::DuplexStream;
 use tokio::net::TcpListener;
 
@@ -141,10 +141,7 @@ impl From<RoleError> for NodeError {
     fn from(error: RoleError) -> Self {
         let kind = match &error {
             RoleError::Backend(_) => FailureKind::Unavailable,
-            RoleError::Geometry(StoreError::Damaged { .. } | StoreError::DamagedTexture { .. }) => {
-                FailureKind::BadData
-            }
-            RoleError::Geometry(StoreError::Unknown { .. }) => FailureKind::Internal,
+            RoleError::Geometry(error) => error.kind(),
             RoleError::ForeignHlod(_) => FailureKind::Protocol,
         };
         Self::new(kind, error.to_string())

@@ -1,6 +1,5 @@
 //! Which geometry the backend holds: read from the store at first need.
 
-use protocol::format::Texture;
 use protocol::id::BlobId;
 use protocol::telemetry::IoCounts;
 use scene::backend::{Backend, Draw};
@@ -50,12 +49,12 @@ impl Residency {
         id: BlobId,
     ) -> Result<(), RoleError> {
         let began = Instant::now();
-        let bytes = store.blob(id)?;
+        let bytes = store.load_blob(id)?;
         let blob = store.skeleton().blob(id);
         if blob.is_textured() && !self.textures_held {
             self.load_textures(store, backend)?;
         }
-        backend.upload(id, blob, bytes)?;
+        backend.upload(id, blob, &bytes)?;
         self.held[id.index()] = true;
         self.bytes.fetch_add(blob.bytes, Ordering::Relaxed);
         self.counts.misses += 1;
@@ -67,9 +66,11 @@ impl Residency {
     /// Uploads all textures: backends take them at once, before the first mesh that shows one.
     fn load_textures(&mut self, store: &Store, backend: &mut dyn Backend) -> Result<(), RoleError> {
         let records = &store.skeleton().textures;
-        let with_bytes = |(index, record): (u32, &Texture)| Ok((*record, store.texture(index)?));
+        let load = |index| store.load_texture(index);
+        let bytes: Vec<Vec<u8>> =
+            (0..records.len() as u32).map(load).collect::<Result<_, StoreError>>()?;
         let textures: Vec<_> =
-            (0..).zip(records).map(with_bytes).collect::<Result<_, StoreError>>()?;
+            records.iter().copied().zip(bytes.iter().map(Vec::as_slice)).collect();
         backend.upload_textures(&textures)?;
         self.textures_held = true;
         let bytes: u64 = records.iter().map(|record| record.bytes).sum();
