@@ -20,9 +20,10 @@ const ALLOWED: [(&str, &[&str]); 9] = [
 ];
 
 /// Packages that may be named only behind one wall.
-const WALLS: [(&str, &[&str]); 5] = [
+const WALLS: [(&str, &[&str]); 6] = [
     ("tokio", &["coordinator", "node"]),
     ("memmap2", &["scene"]),
+    ("nix", &["scene"]),
     ("wgpu", &["gpu"]),
     ("bincode", &["protocol"]),
     ("meshopt", &["geometry"]),

@@ -154,7 +154,7 @@ impl From<RoleError> for NodeError {
     fn from(error: RoleError) -> Self {
         let kind = match &error {
             RoleError::Backend(_) => FailureKind::Unavailable,
-            RoleError::Texture(error) => error.failure_kind(),
+            RoleError::Texture(error) => error.kind(),
             RoleError::Textures => FailureKind::Config,
             RoleError::IoThread => FailureKind::Internal,
             RoleError::ForeignHlod(_) => FailureKind::Protocol,

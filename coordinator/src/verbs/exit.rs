@@ -41,6 +41,13 @@ impl<T, E: Into<anyhow::Error>> OrExit<T> for Result<T, E> {
     }
 }
 
+impl Failure {
+    /// What a person is told, with the code of its class.
+    pub(crate) fn of(kind: FailureKind, error: impl Into<anyhow::Error>) -> Self {
+        Self { code: code_of(kind), error: Some(error.into()) }
+    }
+}
+
 /// The code of a run's failure.
 pub(crate) fn code_of(kind: FailureKind) -> u8 {
     match kind {

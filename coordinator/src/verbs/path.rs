@@ -1,11 +1,11 @@
 //! `path`: a camera path through a scene.
 
-use super::exit::{BAD_DATA, Failure, IO, OrExit};
+use super::exit::{Failure, IO, OrExit};
 use super::say::say;
 use super::scene_file;
-use anyhow::Context;
-use coordinator::camera_path::{PathKind, Pose, generate, write_csv};
-use scene::store::Store;
+use coordinator::camera_path::{GenerateError, PathKind, Pose, generate, write_csv};
+use protocol::message::FailureKind;
+use scene::store::{Store, StoreError};
 use std::path::PathBuf;
 
 #[derive(Debug, clap::Args)]
@@ -50,8 +50,14 @@ pub(super) fn poses(
     frames: u32,
     seed: u64,
 ) -> Result<Vec<Pose>, Failure> {
-    let read = |blob| store.blob(blob);
-    generate(kind, store.skeleton(), read, frames, seed)
-        .with_context(|| format!("no path through {}", store.path().display()))
-        .or_exit(BAD_DATA)
+    let read = |blob| store.load_blob(blob);
+    generate(kind, store.skeleton(), read, frames, seed).map_err(|error| {
+        let kind = match &error {
+            GenerateError::Blob { source, .. } => source.downcast_ref().map(StoreError::kind),
+            GenerateError::EmptyScene | GenerateError::Geometry { .. } => None,
+        };
+        let context = format!("no path through {}", store.path().display());
+        let error = anyhow::Error::new(error).context(context);
+        Failure::of(kind.unwrap_or(FailureKind::BadData), error)
+    })
 }

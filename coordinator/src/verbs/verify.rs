@@ -1,6 +1,6 @@
 //! `verify`: every checksum and invariant of a scene file; with `--deep`, its stored errors too.
 
-use super::exit::{BAD_DATA, Failure, OrExit};
+use super::exit::Failure;
 use super::say::{say, say_json};
 use super::scene_file;
 use scene::deep::{Deep, Effort, Slack};
@@ -60,10 +60,11 @@ struct SlackReport {
 
 pub(crate) fn run(args: Args) -> Result<(), Failure> {
     let store = scene_file::open(&args.scene)?;
-    let verified = scene::verify::verify(&store).or_exit(BAD_DATA)?;
+    let verified =
+        scene::verify::verify(&store).map_err(|error| Failure::of(error.kind(), error))?;
     let effort = Effort { samples: args.samples, ..Effort::default() };
-    let deep =
-        args.deep.then(|| scene::deep::deep(&store, &effort)).transpose().or_exit(BAD_DATA)?;
+    let deep = args.deep.then(|| scene::deep::deep(&store, &effort)).transpose();
+    let deep = deep.map_err(|error| Failure::of(error.kind(), error))?;
     let report = Report {
         scene: args.scene.display().to_string(),
         bytes: verified.bytes,

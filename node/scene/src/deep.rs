@@ -12,6 +12,7 @@ use geometry::hausdorff::Surface;
 use leaves::Leaves;
 use protocol::format::{Hlod, Level, NONE};
 use protocol::id::HlodId;
+use protocol::message::FailureKind;
 use rayon::prelude::*;
 use std::path::PathBuf;
 
@@ -69,10 +70,10 @@ pub struct Slack {
     pub max: f64,
 }
 
-/// An error that is not true (exit code 65).
+/// An error that is not true, or a file that cannot be read.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum DeepError {
-    /// A blob is damaged.
+    /// A blob is damaged or cannot be read.
     #[error(transparent)]
     Blob(#[from] StoreError),
     /// A level strays farther than it says.
@@ -97,6 +98,16 @@ pub enum DeepError {
         /// How many were measured.
         levels: u64,
     },
+}
+
+impl DeepError {
+    /// The class, which decides the exit code.
+    pub fn kind(&self) -> FailureKind {
+        match self {
+            Self::Blob(error) => error.kind(),
+            Self::Beyond { .. } => FailureKind::BadData,
+        }
+    }
 }
 
 /// A level held against the original.

@@ -4,6 +4,7 @@ use crate::store::Store;
 use bytemuck::Zeroable;
 use protocol::format::{Class, Finished, Hlod, Level, NONE, Part, SceneInfo, SceneWriter};
 use protocol::format::{Transform, Vertex, Vertices, Wrap};
+use protocol::id::BlobId;
 use std::path::Path;
 use tempfile::TempDir;
 
@@ -92,4 +93,35 @@ pub(crate) fn store() -> (TempDir, Store) {
     write(&path);
     let store = Store::open(&path).unwrap();
     (folder, store)
+}
+
+/// Writes a scene of one leaf that shows `blobs` meshes of a MiB each, no two the same.
+pub(crate) fn write_large(path: &Path, blobs: u32) {
+    let mut writer = SceneWriter::create(path).unwrap();
+    let mut parts = Vec::new();
+    for mesh in 0..blobs {
+        let vertex =
+            |i| Vertex { position: Vertex::pack_position([i, mesh, 9]), normal: i, color: !0 };
+        let vertices: Vec<Vertex> = (0..1 << 16).map(vertex).collect();
+        let (all, classes) = (Vertices::Plain(&vertices), Class::OpaqueDouble.all(1));
+        let BlobId(blob) = writer.add_blob([0.0; 3], 1.0, all, &[0, 1, 2], classes).unwrap();
+        parts.push(Part { blob, transform: NONE });
+    }
+    writer.add_texture(1, [Wrap::Repeat; 2], &[1, 2, 3, 4]).unwrap();
+    let leaf = Hlod {
+        max: [65_536.0; 3],
+        parent: NONE,
+        level_count: 1,
+        source_triangles: u64::from(blobs),
+        ..Hlod::zeroed()
+    };
+    let level =
+        Level { error: 0.0, first_part: 0, part_count: blobs, triangles: blobs, reserved: 0 };
+    let info = SceneInfo {
+        up: [0.0, 0.0, 1.0],
+        source_triangles: u64::from(blobs),
+        objects: 1,
+        ..SceneInfo::zeroed()
+    };
+    writer.finish(info, vec![leaf], vec![level], parts, Vec::new()).unwrap();
 }

@@ -3,10 +3,11 @@
 //! Opening has checked the header, every checksum of the skeleton and every rule of
 //! [`protocol::format::check()`]; this reads all the rest.
 
-use crate::store::{Store, StoreError};
+use crate::store::{Content, Store, StoreError};
 use protocol::format::mesh::vertices_of;
-use protocol::format::{Blob, Hlod, Transform, Vertex, Violation, check, digest};
+use protocol::format::{Blob, Hlod, Transform, Vertex, Violation, check};
 use protocol::id::{BlobId, HlodId};
+use protocol::message::FailureKind;
 use rayon::prelude::*;
 use std::path::PathBuf;
 
@@ -27,10 +28,10 @@ pub struct Verified {
     pub vertices: u64,
 }
 
-/// What is wrong with a scene file (exit code 65).
+/// What is wrong with a scene file.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum VerifyError {
-    /// A blob or a texture is damaged.
+    /// A blob or a texture is damaged or cannot be read.
     #[error(transparent)]
     Blob(#[from] StoreError),
     /// Bytes changed that no other check covers.
@@ -83,6 +84,16 @@ pub enum VerifyError {
     },
 }
 
+impl VerifyError {
+    /// The class, which decides the exit code.
+    pub fn kind(&self) -> FailureKind {
+        match self {
+            Self::Blob(error) => error.kind(),
+            _ => FailureKind::BadData,
+        }
+    }
+}
+
 /// Reads the whole file and checks everything. Of several faults the same one is always reported.
 pub fn verify(store: &Store) -> Result<Verified, VerifyError> {
     let path = || store.path().to_path_buf();
@@ -94,13 +105,13 @@ pub fn verify(store: &Store) -> Result<Verified, VerifyError> {
     first_error(ids.map(|id| check_blob_and_padding(store, id)))?;
     let textures = (0..skeleton.textures.len() as u32).into_par_iter();
     first_error(textures.map(|index| check_texture_and_padding(store, index)))?;
-    if digest(store.bytes()) != Some(store.digest()) {
+    if store.real_digest()? != store.digest() {
         return Err(VerifyError::Digest { path: path() });
     }
     let hlods = skeleton.hlods.par_iter().enumerate();
     let counts = first_error(hlods.map(|(i, hlod)| check_box(store, HlodId(i as u32), hlod)))?;
     Ok(Verified {
-        bytes: store.bytes().len() as u64,
+        bytes: store.bytes(),
         hlods: skeleton.hlods.len() as u64,
         blobs: skeleton.blobs.len() as u64,
         textures: skeleton.textures.len() as u64,
@@ -119,24 +130,16 @@ fn first_error<T: Send>(
 }
 
 fn check_blob_and_padding(store: &Store, id: BlobId) -> Result<(), VerifyError> {
-    store.blob(id)?;
-    let blob = store.skeleton().blob(id);
-    let next = store.skeleton().blobs.get(id.index() + 1).map(|b| b.offset as usize);
-    let end = next.unwrap_or(store.geometry().len());
-    let padding = &store.geometry()[(blob.offset + blob.bytes) as usize..end];
-    if padding.iter().any(|&b| b != 0) {
+    store.load_blob(id)?;
+    if store.padding_behind(Content::Blob(id))?.iter().any(|&b| b != 0) {
         return Err(VerifyError::Padding { path: store.path().to_path_buf(), blob: id });
     }
     Ok(())
 }
 
 fn check_texture_and_padding(store: &Store, index: u32) -> Result<(), VerifyError> {
-    store.texture(index)?;
-    let texture = &store.skeleton().textures[index as usize];
-    let next = store.skeleton().textures.get(index as usize + 1).map(|t| t.offset as usize);
-    let end = next.unwrap_or(store.pixels().len());
-    let padding = &store.pixels()[(texture.offset + texture.bytes) as usize..end];
-    if padding.iter().any(|&b| b != 0) {
+    store.load_texture(index)?;
+    if store.padding_behind(Content::Texture(index))?.iter().any(|&b| b != 0) {
         let path = store.path().to_path_buf();
         return Err(VerifyError::TexturePadding { path, texture: index });
     }
@@ -152,10 +155,10 @@ fn check_box(store: &Store, id: HlodId, hlod: &Hlod) -> Result<u64, VerifyError>
     for (level_index, level) in skeleton.levels_of(hlod).iter().enumerate() {
         for (part_index, part) in skeleton.parts_of(level).iter().enumerate() {
             let id_of_mesh = BlobId(part.blob);
-            let (mesh, bytes) = (skeleton.blob(id_of_mesh), store.blob(id_of_mesh)?);
+            let (mesh, bytes) = (skeleton.blob(id_of_mesh), store.load_blob(id_of_mesh)?);
             let transform = skeleton.transform_of(part);
             let stray = |v: Vertex| !holds(hlod, &transform, position(mesh, &v));
-            if let Some(vertex) = vertices_of(mesh, bytes).position(stray) {
+            if let Some(vertex) = vertices_of(mesh, &bytes).position(stray) {
                 return Err(VerifyError::OutsideBox {
                     path: store.path().to_path_buf(),
                     hlod: id,
@@ -194,6 +197,7 @@ fn holds(hlod: &Hlod, transform: &Transform, p: [f64; 3]) -> bool {
 mod tests {
     use super::*;
     use crate::fixture;
+    use protocol::format::read_skeleton;
 
     /// The error after the fixture's boxes were changed before it was written.
     fn with_hlods(change: impl FnOnce(&mut [Hlod])) -> Result<Verified, VerifyError> {
@@ -207,7 +211,7 @@ mod tests {
     fn a_sound_file_is_counted() {
         let (_folder, store) = fixture::store();
         let verified = verify(&store).unwrap();
-        assert_eq!(verified.bytes, store.bytes().len() as u64);
+        assert_eq!(verified.bytes, std::fs::metadata(store.path()).unwrap().len());
         assert_eq!((verified.hlods, verified.blobs, verified.levels), (3, 2, 3));
         assert_eq!((verified.vertices, verified.textures), (3 + 4 + 4, 1));
     }
@@ -215,7 +219,7 @@ mod tests {
     #[test]
     fn every_flipped_bit_is_found() {
         let (folder, store) = fixture::store();
-        let sound = store.bytes().to_vec();
+        let sound = std::fs::read(store.path()).unwrap();
         let path = folder.path().join("flipped.occ");
         for at in 0..sound.len() {
             let mut bytes = sound.clone();
@@ -231,7 +235,7 @@ mod tests {
     #[test]
     fn nonzero_padding_is_named() {
         let (folder, store) = fixture::store();
-        let mut bytes = store.bytes().to_vec();
+        let mut bytes = std::fs::read(store.path()).unwrap();
         let blob = store.skeleton().blobs[0];
         bytes[384 + (blob.offset + blob.bytes) as usize] = 1;
         let path = folder.path().join("padded.occ");
@@ -244,9 +248,10 @@ mod tests {
     fn a_damaged_texture_and_the_padding_behind_it_are_named() {
         let (folder, store) = fixture::store();
         let path = folder.path().join("spoilt.occ");
+        let start = read_skeleton(store.path()).unwrap().pixels.start as usize;
         let spoilt = |at: usize| {
-            let mut bytes = store.bytes().to_vec();
-            bytes[384 + store.geometry().len() + at] ^= 1;
+            let mut bytes = std::fs::read(store.path()).unwrap();
+            bytes[start + at] ^= 1;
             std::fs::write(&path, &bytes).unwrap();
             verify(&Store::open(&path).unwrap()).unwrap_err()
         };
@@ -258,7 +263,7 @@ mod tests {
     #[test]
     fn a_false_digest_is_named() {
         let (folder, store) = fixture::store();
-        let mut bytes = store.bytes().to_vec();
+        let mut bytes = std::fs::read(store.path()).unwrap();
         bytes[40] ^= 1;
         bytes[28..32].fill(0);
         let crc = crc32c(&bytes[..384]);

@@ -7,7 +7,7 @@ use super::layout::{ENDIAN_MARK, FORMAT_VERSION, HEADER_BYTES, Header, MAGIC};
 use super::mesh::{BlobDamage, check_blob};
 use super::{Digest, NONE, SceneInfo, Section, Skeleton, Violation};
 use crate::id::BlobId;
-use bytemuck::Pod;
+use bytemuck::{Pod, Zeroable};
 use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom};
 use std::ops::Range;
@@ -173,17 +173,30 @@ pub fn parse(bytes: &[u8]) -> Result<SceneFile, FormatError> {
 
 /// Opens a scene file, reading its header and skeleton alone.
 pub fn read_skeleton(path: &Path) -> Result<SceneFile, ReadError> {
+    let file = File::open(path).map_err(|e| ReadError::io(path, e))?;
+    read_skeleton_of(&file, path)
+}
+
+/// [`read_skeleton`] of an opened file; `path` is for errors alone. Moves the file's cursor.
+///
+/// Allocates no more than header and skeleton take, and nothing before the header's lengths agree
+/// with the file's own.
+pub fn read_skeleton_of(file: &File, path: &Path) -> Result<SceneFile, ReadError> {
     let to_io = |e| ReadError::io(path, e);
-    let mut file = File::open(path).map_err(to_io)?;
+    let mut file = file;
     let file_bytes = file.metadata().map_err(to_io)?.len();
     let mut start = Vec::with_capacity(HEADER_BYTES);
-    (&file).take(HEADER_BYTES as u64).read_to_end(&mut start).map_err(to_io)?;
+    file.seek(SeekFrom::Start(0)).map_err(to_io)?;
+    file.take(HEADER_BYTES as u64).read_to_end(&mut start).map_err(to_io)?;
     let to_bad = |e| ReadError::bad(path, e);
     let header = parse_header(&start, file_bytes).map_err(to_bad)?;
 
     file.seek(SeekFrom::Start(header.skeleton_offset())).map_err(to_io)?;
     let expected = file_bytes - header.skeleton_offset();
     let mut skeleton = Vec::new();
+    // A file may be all holes and longer than the memory: that is an error and no abort.
+    let room = usize::try_from(expected).map_err(|_| io::ErrorKind::OutOfMemory.into());
+    room.and_then(|n| skeleton.try_reserve_exact(n).map_err(io::Error::from)).map_err(to_io)?;
     // The file may shrink meanwhile: what is missing is an error, not a wait.
     file.take(expected).read_to_end(&mut skeleton).map_err(to_io)?;
     if skeleton.len() as u64 != expected {
@@ -209,13 +222,17 @@ pub fn read_blob(file: &File, scene: &SceneFile, blob: BlobId) -> Result<Vec<u8>
     Ok(bytes)
 }
 
-/// The real digest of a whole file: BLAKE3 of everything after the header, then of the header with
-/// digest and checksum zero. `None` for bytes shorter than a header.
-pub fn digest(bytes: &[u8]) -> Option<Digest> {
-    let (header, rest) = bytes.split_at_checked(HEADER_BYTES)?;
+/// The real digest of a whole file, read from its first byte to its last: BLAKE3 of everything after
+/// the header, then of the header with digest and checksum zero.
+///
+/// # Errors
+/// The reader's own, and [`io::ErrorKind::UnexpectedEof`] where it yields less than a header.
+pub fn digest(mut file: impl Read) -> io::Result<Digest> {
+    let mut header = Header::zeroed();
+    file.read_exact(bytemuck::bytes_of_mut(&mut header))?;
     let mut hasher = blake3::Hasher::new();
-    hasher.update(rest);
-    Some(bytemuck::pod_read_unaligned::<Header>(header).digest(hasher))
+    hasher.update_reader(file)?;
+    Ok(header.digest(hasher))
 }
 
 /// Checks the header against the file's real length.

@@ -163,7 +163,7 @@ impl Baked {
         let id = BlobId(part.blob);
         let blob = self.skeleton().blob(id);
         let transform = self.skeleton().transform_of(part);
-        vertices_of(blob, self.store.blob(id).unwrap())
+        vertices_of(blob, &self.store.load_blob(id).unwrap())
             .map(|vertex| {
                 let grid = vertex.grid();
                 let p = std::array::from_fn(|k| blob.origin[k] + blob.step * f64::from(grid[k]));
@@ -179,7 +179,7 @@ impl Baked {
             let positions = self.positions(part);
             let id = BlobId(part.blob);
             let blob = self.skeleton().blob(id);
-            let indices = &self.store.blob(id).unwrap()[blob.vertex_bytes()..];
+            let indices = &self.store.load_blob(id).unwrap()[blob.vertex_bytes()..];
             let indices: Vec<usize> = indices[..6 * blob.triangles as usize]
                 .chunks(2)
                 .map(|two| usize::from(u16::from_le_bytes([two[0], two[1]])))

@@ -27,7 +27,8 @@ pub(super) fn placed(store: &Store, level: &Level) -> Result<Placed, StoreError>
     let mut triangles = Vec::with_capacity(level.triangles as usize);
     let mut reach = 0.0f64;
     for part in skeleton.parts_of(level) {
-        let (blob, bytes) = (skeleton.blob(BlobId(part.blob)), store.blob(BlobId(part.blob))?);
+        let id = BlobId(part.blob);
+        let (blob, bytes) = (skeleton.blob(id), store.load_blob(id)?);
         let transform = skeleton.transform_of(part);
         let mut place = |vertex| {
             let p = position(blob, &vertex);
@@ -37,7 +38,7 @@ pub(super) fn placed(store: &Store, level: &Level) -> Result<Placed, StoreError>
             }
             DVec3::from_array(transform.apply(p))
         };
-        let points: Vec<DVec3> = vertices_of(blob, bytes).map(&mut place).collect();
+        let points: Vec<DVec3> = vertices_of(blob, &bytes).map(&mut place).collect();
         let indices = &bytes[blob.vertex_bytes()..][..blob.triangles as usize * 6];
         let (pairs, _) = indices.as_chunks::<2>();
         let (corners, _) = pairs.as_chunks::<3>();

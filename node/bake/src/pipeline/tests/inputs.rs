@@ -81,9 +81,9 @@ fn textured(folder: &Path, inputs: &[&str]) -> (Store, Vec<(f64, [u8; 4])>) {
     sound(&store);
     let mut seen = Vec::new();
     for (id, blob) in store.skeleton().blobs.iter().enumerate() {
-        let bytes = store.blob(BlobId(id as u32)).unwrap();
-        for vertex in textured_vertices_of(blob, bytes).filter(|v| v.texture != format::NONE) {
-            let pixels = store.texture(vertex.texture).unwrap();
+        let bytes = store.load_blob(BlobId(id as u32)).unwrap();
+        for vertex in textured_vertices_of(blob, &bytes).filter(|v| v.texture != format::NONE) {
+            let pixels = store.load_texture(vertex.texture).unwrap();
             let x = blob.origin[0] + blob.step * f64::from(vertex.plain.grid()[0]);
             seen.push((x, [pixels[0], pixels[1], pixels[2], pixels[3]]));
         }
