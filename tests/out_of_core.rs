@@ -125,8 +125,16 @@ fn a_damaged_mesh_is_named_and_something_coarser_is_shown() {
     std::fs::write(&damaged, bytes).unwrap();
     let out = scene.file("out");
     for extra in [&[][..], &["--residency", "deadline"]] {
-        let mut options =
-            vec!["replay", text(&damaged), "--path", text(&path), "--size", "161x97", "--backend", "cpu"];
+        let mut options = vec![
+            "replay",
+            text(&damaged),
+            "--path",
+            text(&path),
+            "--size",
+            "161x97",
+            "--backend",
+            "cpu",
+        ];
         options.extend(["--out", text(&out)]);
         options.extend(extra);
         let output = occluster().args(&options).output().unwrap();

@@ -92,7 +92,9 @@ mod tests {
         let skeleton = store.skeleton();
         let all = skeleton.blobs[0].bytes + skeleton.textures[0].bytes;
         let large = share_out(1 << 30, skeleton, &[]).unwrap();
-        assert!(large.fits && large.host == MOST_HOST_BYTES && large.host + large.device == 1 << 30);
+        assert!(
+            large.fits && large.host == MOST_HOST_BYTES && large.host + large.device == 1 << 30
+        );
         let error = share_out(all, skeleton, &[]).unwrap_err();
         assert!(error.to_string().contains(&error.needed.to_string()));
         let least = share_out(error.needed, skeleton, &[]).unwrap();

@@ -155,7 +155,7 @@ impl From<RoleError> for NodeError {
         let kind = match &error {
             RoleError::Backend(_) => FailureKind::Unavailable,
             RoleError::Texture(error) => error.kind(),
-            RoleError::Textures => FailureKind::Config,
+            RoleError::Textures | RoleError::NoRoom => FailureKind::Config,
             RoleError::IoThread => FailureKind::Internal,
             RoleError::ForeignHlod(_) => FailureKind::Protocol,
         };

@@ -29,23 +29,32 @@ pub(crate) fn open<'a>(
     settings: &'a RunSettings,
     peak: &Arc<AtomicU64>,
 ) -> Result<Scene<'a>, NodeError> {
+    open_on(settings, peak, |budget| Ok(choose_backend(settings.backend, settings.size, budget)?))
+}
+
+/// The same on a backend that is made with a budget.
+pub(crate) fn open_on<'a>(
+    settings: &'a RunSettings,
+    peak: &Arc<AtomicU64>,
+    backend: impl FnOnce(u64) -> Result<Box<dyn Backend>, NodeError>,
+) -> Result<Scene<'a>, NodeError> {
     let store = Arc::new(Store::open(Path::new(&settings.scene_path))?);
     let skeleton = Arc::clone(store.skeleton());
     let always = always(&skeleton, settings.residency);
     let memory = settings.memory.unwrap_or_else(budget::by_itself);
     let budget = budget::share_out(memory, &skeleton, &always)?;
-    let mut backend = choose_backend(settings.backend, settings.size, budget.device)?;
+    let mut backend = backend(budget.device)?;
     upload_textures(&store, backend.as_mut())?;
     let forecaster = Forecaster::new(Arc::clone(&skeleton), settings.size, settings.lod_px);
     let digest = store.digest();
-    let io = IoThread::start(store, Arc::clone(&skeleton), forecaster, budget.host)
-        .map_err(|error| {
+    let io = IoThread::start(store, Arc::clone(&skeleton), forecaster, budget.host).map_err(
+        |error| {
             let reason = format!("cannot start the I/O thread: {error}");
             NodeError::new(FailureKind::Unavailable, reason)
-        })?;
-    let (promise, prefetch) = (settings.residency, settings.prefetch);
+        },
+    )?;
     let mut loader =
-        Loader::new(Arc::clone(&skeleton), io, budget, promise, prefetch, Arc::clone(peak));
+        Loader::new(Arc::clone(&skeleton), io, budget, settings.prefetch, Arc::clone(peak));
     loader.load_for_good(backend.as_mut(), &always)?;
     Ok(Scene { digest, stage: Stage::new(skeleton, backend, loader, settings) })
 }

@@ -12,8 +12,8 @@ use protocol::id::{BlobId, FrameIndex};
 use protocol::settings::Residency as Promise;
 use protocol::telemetry::IoCounts;
 use protocol::visible::VisibleSet;
-use scene::backend::{Backend, Part, Upload};
 use scene::backend::Draws;
+use scene::backend::{Backend, Part, Upload};
 use scene::front::FrontEntry;
 use scene::prefetch::{Motion, Outlook};
 use scene::residency::{Residency, Stamp, Use};
@@ -30,7 +30,6 @@ pub(crate) struct Loader {
     io: IoThread,
     residency: Residency,
     budget: Budget,
-    promise: Promise,
     prefetch: bool,
     /// The present drawing.
     now: Stamp,
@@ -59,7 +58,6 @@ impl Loader {
         skeleton: Arc<Skeleton>,
         io: IoThread,
         budget: Budget,
-        promise: Promise,
         prefetch: bool,
         peak: Arc<AtomicU64>,
     ) -> Self {
@@ -69,7 +67,6 @@ impl Loader {
             io,
             residency: Residency::new(blobs),
             budget,
-            promise,
             prefetch,
             now: 0,
             lost: vec![false; blobs],
@@ -86,13 +83,18 @@ impl Loader {
     }
 
     /// Begins another drawing: what it uses is younger than all before.
-    pub(crate) fn begin_drawing(&mut self) {
+    pub(crate) fn begin_drawing(&mut self, backend: &dyn Backend) {
         // A node that never draws never loads.
         if self.now == 0 && self.prefetch && self.budget.fits {
             self.io.foresee(Order::Everything);
         }
         self.now += 1;
         self.upload_left = UPLOAD_BYTES;
+        self.note_peak(backend);
+    }
+
+    fn note_peak(&self, backend: &dyn Backend) {
+        self.peak.fetch_max(backend.held_bytes() + self.io.pool.most(), Ordering::Relaxed);
     }
 
     /// Whether a level can be drawn: in `exact` if it can be had, in `deadline` if it is there.
@@ -112,9 +114,8 @@ impl Loader {
     ) -> Result<(), RoleError> {
         let blobs = self.blobs_of(entries);
         self.io.fetch(blobs.clone());
-        let is_missing = |own: &Self, blob: &BlobId| {
-            !own.residency.holds(*blob) && !own.lost[blob.index()]
-        };
+        let is_missing =
+            |own: &Self, blob: &BlobId| !own.residency.holds(*blob) && !own.lost[blob.index()];
         while blobs.iter().any(|blob| is_missing(self, blob)) {
             let arrival = self.io.arrivals.recv().map_err(|_| RoleError::IoThread)?;
             self.take_in(backend, arrival)?;
@@ -175,7 +176,7 @@ impl Loader {
             while let Ok(arrival) = self.io.arrivals.try_recv() {
                 self.take_in_for(backend, arrival, &mut runs)?;
             }
-            if runs.blobs().any(|blob| self.lost[blob.index()]) {
+            if runs.next_blob().is_some_and(|blob| self.lost[blob.index()]) {
                 submit(backend, Draws::default(), Part { opens, closes: true })?;
                 return Ok(Drawn::Lost);
             }
@@ -228,6 +229,7 @@ impl Loader {
             let older = self.spare().or_else(|| self.residency.older_than(self.now).next());
             match older.or_else(|| runs.victim(blob, |blob| self.residency.holds(blob))) {
                 Some(victim) => self.give_up(backend, victim),
+                None if runs.next_blob() == Some(blob) => return Err(RoleError::NoRoom),
                 None => {
                     // Its turn comes later.
                     runs.forget(blob);
@@ -290,7 +292,7 @@ impl Loader {
             return Ok(false);
         }
         self.residency.insert(blob, self.now, foreseen);
-        self.peak.fetch_max(backend.held_bytes() + self.io.pool.most(), Ordering::Relaxed);
+        self.note_peak(backend);
         Ok(true)
     }
 

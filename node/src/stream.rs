@@ -61,6 +61,11 @@ impl<'a> Runs<'a> {
         self.at..self.at + ready
     }
 
+    /// The blob of the first run that is not drawn.
+    pub(crate) fn next_blob(&self) -> Option<BlobId> {
+        self.runs.get(self.at).map(|run| run.blob)
+    }
+
     /// The draws of some runs.
     pub(crate) fn draws(&self, runs: Range<usize>) -> Draws {
         let mut draws = Draws::default();

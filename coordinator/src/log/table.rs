@@ -82,7 +82,12 @@ pub fn table(summary: &Summary) -> String {
         "geometry",
         format!(
             "{} meshes there, {} missing, waited {:.1} ms; read {:.1} MB, {:.1} ahead, {:.1} of that used",
-            io.hits, io.misses, io.stall_ms, mb(io.bytes_read), mb(io.prefetched), mb(io.prefetched_used)
+            io.hits,
+            io.misses,
+            io.stall_ms,
+            mb(io.bytes_read),
+            mb(io.prefetched),
+            mb(io.prefetched_used)
         ),
     );
     let missing = &s.stand_ins;

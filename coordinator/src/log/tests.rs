@@ -6,9 +6,10 @@ use super::{SceneFacts, report, table, trace};
 use crate::record::{ClockEstimate, NodeRecord, PhaseRecord, RunRecord};
 use protocol::id::{FrameIndex, Seat};
 use protocol::schedule::{Phase, Role, SEATS, last_phase, receivers, role};
-use protocol::settings::{BackendChoice, Cull, PictureSize, RunSettings, Schedule, Residency};
+use protocol::settings::{BackendChoice, Cull, PictureSize, Residency, RunSettings, Schedule};
 use protocol::telemetry::{
-    Audit, BackendInfo, CullCounts, DrawCounts, IoCounts, LinkBytes, Missing, PhaseReport, WorkReport,
+    Audit, BackendInfo, CullCounts, DrawCounts, IoCounts, LinkBytes, Missing, PhaseReport,
+    WorkReport,
 };
 
 const MS: u64 = 1_000_000;
@@ -107,13 +108,7 @@ fn report(
         work,
         sent: SEATS.map(|to| LinkBytes { to, bytes: sent[seat.index()][to.index()] }).to_vec(),
         sent_control: 100 * (phase.0 + 2) as u64,
-        io: IoCounts {
-            hits: 2,
-            misses: 1,
-            stall_ns: MS,
-            bytes_read: 10,
-            ..IoCounts::default()
-        },
+        io: IoCounts { hits: 2, misses: 1, stall_ns: MS, bytes_read: 10, ..IoCounts::default() },
         peak_rss: 1000 + u64::from(seat.0),
         peak_resident: 10,
     }

@@ -39,11 +39,8 @@ impl Motion {
         let (from, to) = (turn_of(&self.before), turn_of(&self.now));
         let (axis, angle) = (to * from.inverse()).normalize().to_axis_angle();
         // The short way round.
-        let angle = if angle > std::f64::consts::PI {
-            angle - 2.0 * std::f64::consts::PI
-        } else {
-            angle
-        };
+        let angle =
+            if angle > std::f64::consts::PI { angle - 2.0 * std::f64::consts::PI } else { angle };
         let turned = DQuat::from_axis_angle(axis, angle * share);
         let turn = |v: [f32; 3]| {
             let v = DVec3::from_array(v.map(f64::from));
@@ -154,8 +151,7 @@ impl Forecaster {
         let oldest = self.outlooks.saturating_sub(REMEMBERED).max(1);
         let ids = (0u32..).zip(&self.last_visible);
         let lately = ids.filter(|(_, last)| **last >= oldest).map(|(id, _)| HlodId(id)).collect();
-        let mut likely =
-            map_onto_front(&self.skeleton, &VisibleSet::from_sorted(lately), front);
+        let mut likely = map_onto_front(&self.skeleton, &VisibleSet::from_sorted(lately), front);
         let parent = |entry: &FrontEntry| self.skeleton.hlod(entry.hlod).parent;
         let parents: BTreeSet<u32> = self.steps.standing[horizon].iter().map(parent).collect();
         likely.extend(front.entries.iter().filter(|entry| parents.contains(&parent(entry))));

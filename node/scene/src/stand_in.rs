@@ -149,7 +149,8 @@ mod tests {
         for seed in 0..200 {
             let mut scene = RandomScene::new(seed, 3, 16.0);
             let camera = scene.camera();
-            let front = front(&scene.skeleton, &camera, SIZE, [0.0, 2.0][seed as usize % 2]).entries;
+            let front =
+                front(&scene.skeleton, &camera, SIZE, [0.0, 2.0][seed as usize % 2]).entries;
             let share = [0.1, 0.5, 0.9][seed as usize % 3];
             let there: Vec<bool> =
                 scene.skeleton.levels.iter().map(|_| scene.rng.random_bool(share)).collect();

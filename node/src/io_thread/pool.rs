@@ -46,7 +46,8 @@ impl Pool {
     /// A buffer of `length` bytes with any contents; none while that would exceed the cap.
     pub(crate) fn take(&self, length: usize) -> Option<Buffer> {
         let mut state = self.shared.state();
-        let fits = |idle: &Vec<u8>| (length..=length.saturating_mul(LEAST_SHARE)).contains(&idle.len());
+        let fits =
+            |idle: &Vec<u8>| (length..=length.saturating_mul(LEAST_SHARE)).contains(&idle.len());
         let found = (0..state.idle.len())
             .filter(|&at| fits(&state.idle[at]))
             .min_by_key(|&at| state.idle[at].len());

@@ -45,7 +45,11 @@ impl Source for Fake {
     }
 }
 
-fn start(skeleton: &Arc<Skeleton>, cap: u64, pause: Duration) -> (IoThread, Arc<Mutex<Vec<BlobId>>>) {
+fn start(
+    skeleton: &Arc<Skeleton>,
+    cap: u64,
+    pause: Duration,
+) -> (IoThread, Arc<Mutex<Vec<BlobId>>>) {
     let read = Arc::default();
     let source = Fake { pause, broken: Some(BlobId(7)), read: Arc::clone(&read) };
     let forecaster = Forecaster::new(Arc::clone(skeleton), SIZE, 0.0);
@@ -91,13 +95,14 @@ fn with_room_for_one_buffer_all_comes_one_by_one() {
     let skeleton = skeleton(200, 100);
     let (io, _) = start(&skeleton, 199, Duration::ZERO);
     io.fetch((0..200).map(BlobId).collect());
-    let mut held = Vec::new();
     for blob in 0..200 {
         let arrival = wait(&io);
         assert_eq!(arrival.blob, BlobId(blob));
-        assert!(io.arrivals.recv_timeout(Duration::from_millis(1)).is_err(), "no room for two");
-        held.push(arrival);
-        held.clear();
+        // What cannot be read takes no room.
+        if arrival.bytes.is_ok() {
+            assert!(io.arrivals.recv_timeout(Duration::from_millis(1)).is_err(), "no room for two");
+        }
+        drop(arrival);
     }
     assert!(io.pool.most() <= 199);
 }

@@ -15,8 +15,8 @@ use protocol::id::{FrameIndex, HlodId};
 use protocol::settings::{Residency as Promise, RunSettings};
 use protocol::telemetry::{BackendInfo, IoCounts, Missing};
 use protocol::visible::VisibleSet;
-use scene::backend::{Backend, BackendError, Completion, Part, Pass, View};
 use scene::backend::Draws;
+use scene::backend::{Backend, BackendError, Completion, Part, Pass, View};
 use scene::draw_list::draw_list;
 use scene::front::{Front, FrontEntry, front};
 use scene::occludee::Rules;
@@ -36,6 +36,9 @@ pub(crate) enum RoleError {
     /// They do not fit.
     #[error("the textures take more than --memory allows; raise it")]
     Textures,
+    /// What is held for good leaves no stretch of memory long enough for a mesh.
+    #[error("a mesh finds no room beside what is held for good; raise --memory")]
+    NoRoom,
     /// The I/O thread broke down.
     #[error("the I/O thread broke down; see its message above")]
     IoThread,
@@ -96,12 +99,7 @@ impl<'a> Stage<'a> {
     }
 
     /// What `promise` lets be drawn of `entries` now.
-    fn available(
-        &self,
-        camera: &Camera,
-        entries: &[FrontEntry],
-        promise: Promise,
-    ) -> Available {
+    fn available(&self, camera: &Camera, entries: &[FrontEntry], promise: Promise) -> Available {
         let is_there = |level| self.loader.offers(level, promise);
         available(&self.skeleton, entries, camera, self.settings.size, is_there)
     }
@@ -155,7 +153,7 @@ impl<'a> Stage<'a> {
 
     /// Begins the work of a phase that draws.
     fn begin_drawing(&mut self) -> Result<(), RoleError> {
-        self.loader.begin_drawing();
+        self.loader.begin_drawing(self.backend.as_ref());
         self.loader.take_in_all(self.backend.as_mut())
     }
 

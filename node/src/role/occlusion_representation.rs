@@ -6,10 +6,10 @@ use super::{RoleError, Stage};
 use protocol::camera::Camera;
 use protocol::settings::{Cull, Residency as Promise};
 use protocol::telemetry::DrawCounts;
-use protocol::visible::VisibleSet;
 use protocol::telemetry::Missing;
-use scene::backend::{Completion, Pass};
+use protocol::visible::VisibleSet;
 use scene::backend::Draws;
+use scene::backend::{Completion, Pass};
 use scene::draw_list::draw_list;
 use scene::front::FrontEntry;
 use scene::occluders::map_onto_front;
@@ -36,7 +36,8 @@ pub(crate) fn run(
         let entries: Vec<FrontEntry> = wanted.iter().filter(offered).copied().collect();
         let draws = draw_list(&stage.skeleton, &entries, camera.eye);
         let pass = |view, draws: Draws, part| Pass::Occluders { view, draws: draws.solid, part };
-        let Some(completion) = stage.draw_list(camera, &Draws { blending: vec![], ..draws }, pass)?
+        let Some(completion) =
+            stage.draw_list(camera, &Draws { blending: vec![], ..draws }, pass)?
         else {
             continue;
         };

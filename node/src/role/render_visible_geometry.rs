@@ -5,8 +5,8 @@ use protocol::camera::Camera;
 use protocol::id::HlodId;
 use protocol::telemetry::DrawCounts;
 use protocol::visible::VisibleSet;
-use scene::backend::{Completion, Pass, Picture};
 use scene::backend::Draws;
+use scene::backend::{Completion, Pass, Picture};
 use scene::front::{Front, FrontEntry};
 
 /// A frame that was drawn.

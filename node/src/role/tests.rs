@@ -3,7 +3,8 @@
 use super::audit::measure;
 use super::*;
 use crate::fixture::{Piece, street, write};
-use protocol::settings::{BackendChoice, Cull, PictureSize, Schedule, Residency};
+use crate::open::open_on;
+use protocol::settings::{BackendChoice, Cull, PictureSize, Residency, Schedule};
 use protocol::telemetry::CullCounts;
 use protocol::visible::VisibleSet;
 use scene::backend::cpu::CpuBackend;
@@ -12,9 +13,9 @@ use std::sync::atomic::AtomicU64;
 
 const SIZE: PictureSize = PictureSize { width: 97, height: 61 };
 
-fn settings(cull: Cull) -> RunSettings {
+fn settings(path: &Path, cull: Cull) -> RunSettings {
     RunSettings {
-        scene_path: String::new(),
+        scene_path: path.to_str().unwrap().to_owned(),
         scene_digest: [0; 32],
         size: SIZE,
         lod_px: 1.0,
@@ -29,6 +30,14 @@ fn settings(cull: Cull) -> RunSettings {
         prefetch: true,
         pictures_dir: None,
     }
+}
+
+/// A stage on the CPU backend.
+fn stage<'a>(settings: &'a RunSettings, rules: Rules, peak: &Arc<AtomicU64>) -> Stage<'a> {
+    let backend = |budget| {
+        Ok(Box::new(CpuBackend::with_rules(SIZE, &rules).with_budget(budget)) as Box<dyn Backend>)
+    };
+    open_on(settings, peak, backend).unwrap().stage
 }
 
 /// One frame of a walk.
@@ -50,11 +59,8 @@ fn play(pieces: &[Piece], cameras: &[Camera], cull: Cull, rules: Rules) -> Vec<S
 
 /// Plays `cameras` through a scene file.
 fn play_file(path: &Path, cameras: &[Camera], cull: Cull, rules: Rules) -> Vec<Seen> {
-    let store = Store::open(path).unwrap();
-    let settings = settings(cull);
-    let backend = Box::new(CpuBackend::with_rules(SIZE, &rules));
-    let residency = Residency::new(store.skeleton().blobs.len(), Arc::new(AtomicU64::default()));
-    let mut stage = Stage { rules, ..Stage::new(&store, backend, residency, &settings) };
+    let settings = settings(path, cull);
+    let mut stage = Stage { rules, ..stage(&settings, rules, &Arc::default()) };
     let mut visible = VisibleSet::whole_scene();
     let frame = |camera: &Camera| {
         occlusion_representation::run(&mut stage, camera, &visible).unwrap();
@@ -172,44 +178,33 @@ fn holes_and_glass_lose_no_pixel_either() {
     assert!(on.iter().zip(&off).any(|(on, off)| on.drawn < off.drawn));
 }
 
-#[test]
-fn textures_are_read_once_and_counted() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("scene.occ");
-    write(&path, &street(), true);
-    let store = Store::open(&path).unwrap();
-    let settings = settings(Cull::Off);
-    let bytes = Arc::new(AtomicU64::default());
-    let backend = Box::new(CpuBackend::new(SIZE));
-    let mut stage = Stage::new(&store, backend, Residency::new(1, Arc::clone(&bytes)), &settings);
-    for _ in 0..2 {
-        let front = stage.front(&walk()[0]);
-        stage.draws(&walk()[0], &front.entries).unwrap();
-        let all = store.skeleton().blobs[0].bytes + store.skeleton().textures[0].bytes;
-        assert_eq!(bytes.load(std::sync::atomic::Ordering::Relaxed), all);
-    }
-    assert_eq!(stage.take_io().misses, 1);
+/// Draws all that is in the frustum.
+fn draw_all(stage: &mut Stage<'_>, camera: &Camera) -> IoCounts {
+    stage.begin_drawing().unwrap();
+    let front = stage.front(camera);
+    let pass = |view, draws, part| Pass::Shade { view, draws, with_depth: false, part };
+    stage.draw(camera, &front.entries, Promise::Exact, pass).unwrap();
+    stage.take_io()
 }
 
 #[test]
-fn geometry_is_read_once() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("scene.occ");
-    write(&path, &street(), false);
-    let store = Store::open(&path).unwrap();
-    let settings = settings(Cull::Off);
-    let bytes = Arc::new(AtomicU64::default());
-    let backend = Box::new(CpuBackend::new(SIZE));
-    let mut stage = Stage::new(&store, backend, Residency::new(1, Arc::clone(&bytes)), &settings);
-    let camera = walk()[0];
-    assert_eq!(stage.take_io(), IoCounts::default());
-    let front = stage.front(&camera);
-    stage.draws(&camera, &front.entries).unwrap();
-    let io = stage.take_io();
-    let mesh = store.skeleton().blobs[0].bytes;
-    assert_eq!((io.misses, io.bytes_read), (1, mesh));
-    assert_eq!(io.hits, front.entries.len() as u64 - 1);
-    assert_eq!(bytes.load(std::sync::atomic::Ordering::Relaxed), mesh);
-    stage.draws(&camera, &front.entries).unwrap();
-    assert_eq!(stage.take_io().misses, 0);
+fn textures_and_geometry_are_read_once_and_counted() {
+    for textured in [true, false] {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("scene.occ");
+        write(&path, &street(), textured);
+        let settings = settings(&path, Cull::Off);
+        let peak = Arc::default();
+        let mut stage = stage(&settings, Rules::default(), &peak);
+        let mesh = stage.skeleton.blobs[0].bytes;
+        let textures: u64 = stage.skeleton.textures.iter().map(|texture| texture.bytes).sum();
+        assert_eq!(textures > 0, textured);
+        let first = draw_all(&mut stage, &walk()[0]);
+        assert_eq!((first.hits + first.misses, first.bytes_read), (1, mesh));
+        let peak = peak.load(std::sync::atomic::Ordering::Relaxed);
+        assert!(peak >= 2 * mesh + textures, "{peak}: with the backend, and on its way");
+        let second = draw_all(&mut stage, &walk()[0]);
+        assert_eq!((second.hits, second.misses, second.bytes_read), (1, 0, 0));
+        assert_eq!((second.events, second.stall_ns), (0, 0));
+    }
 }

@@ -13,7 +13,7 @@ use crate::codec::{Decoder, encode};
 use crate::id::{FrameIndex, HlodId, Seat};
 use crate::message::{FailureKind, Message, Token};
 use crate::schedule;
-use crate::settings::{BackendChoice, Cull, PictureSize, RunSettings, Schedule, Residency};
+use crate::settings::{BackendChoice, Cull, PictureSize, Residency, RunSettings, Schedule};
 use crate::telemetry::{BackendInfo, CullCounts, DrawCounts, Nanos};
 use crate::visible::VisibleSet;
 use rand::rngs::StdRng;

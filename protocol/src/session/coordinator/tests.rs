@@ -1,7 +1,7 @@
 //! Who is let in, and what ends a run.
 
 use super::*;
-use crate::settings::{BackendChoice, Cull, PictureSize, Schedule, Residency};
+use crate::settings::{BackendChoice, Cull, PictureSize, Residency, Schedule};
 
 const TOKEN: Token = Token([4; 32]);
 

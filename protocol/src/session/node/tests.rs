@@ -1,7 +1,7 @@
 //! What a node refuses, and that nothing a peer says makes it panic.
 
 use super::*;
-use crate::settings::{BackendChoice, Cull, PictureSize, Schedule, Residency};
+use crate::settings::{BackendChoice, Cull, PictureSize, Residency, Schedule};
 use proptest::prelude::*;
 
 const DIGEST: [u8; 32] = [1; 32];
