@@ -169,16 +169,16 @@ impl Loader {
             if closes {
                 return Ok(Drawn::Whole);
             }
+            if runs.next_blob().is_some_and(|blob| self.lost[blob.index()]) {
+                submit(backend, Draws::default(), Part { opens, closes: true })?;
+                return Ok(Drawn::Lost);
+            }
             let waiting = Instant::now();
             let arrival = self.next_arrival(&mut runs)?;
             self.counts.stall_ns += waiting.elapsed().as_nanos() as u64;
             self.take_in_for(backend, arrival, &mut runs)?;
             while let Ok(arrival) = self.io.arrivals.try_recv() {
                 self.take_in_for(backend, arrival, &mut runs)?;
-            }
-            if runs.next_blob().is_some_and(|blob| self.lost[blob.index()]) {
-                submit(backend, Draws::default(), Part { opens, closes: true })?;
-                return Ok(Drawn::Lost);
             }
         }
     }
