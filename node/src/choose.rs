@@ -10,19 +10,21 @@ use scene::backend::{Backend, BackendError};
 #[error("{0}; install a driver (on Debian: mesa-vulkan-drivers) or use --backend cpu")]
 pub struct ChooseError(BackendError);
 
-/// Starts the renderer `choice` asks for, and logs which it is.
+/// Starts the renderer `choice` asks for, and logs which it is. Its meshes and textures take at most
+/// `budget_bytes`.
 ///
 /// `Auto` takes a GPU, else a software Vulkan driver, else the CPU backend; a driver that refuses is
 /// passed over.
 pub fn choose_backend(
     choice: BackendChoice,
     size: PictureSize,
+    budget_bytes: u64,
 ) -> Result<Box<dyn Backend>, ChooseError> {
-    let on = |adapter| match WgpuBackend::new(size, adapter, true) {
+    let on = |adapter| match WgpuBackend::new(size, adapter, true, budget_bytes) {
         Ok(backend) => Ok(Box::new(backend) as Box<dyn Backend>),
         Err(error) => Err(error),
     };
-    let cpu = || Box::new(CpuBackend::new(size)) as Box<dyn Backend>;
+    let cpu = || Box::new(CpuBackend::new(size).with_budget(budget_bytes)) as Box<dyn Backend>;
     let backend =
         match choice {
             BackendChoice::Cpu => cpu(),
@@ -58,6 +60,7 @@ fn first_of<B>(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use scene::backend::UNLIMITED;
 
     #[test]
     fn an_adapter_that_refuses_is_passed_over() {
@@ -81,6 +84,7 @@ mod tests {
     #[test]
     fn the_cpu_backend_needs_no_driver() {
         let size = PictureSize { width: 1, height: 1 };
-        assert_eq!(choose_backend(BackendChoice::Cpu, size).unwrap().info().name, "cpu");
+        let backend = choose_backend(BackendChoice::Cpu, size, UNLIMITED).unwrap();
+        assert_eq!(backend.info().name, "cpu");
     }
 }

@@ -3,6 +3,7 @@
 use crate::choose::choose_backend;
 use protocol::message::WIRE_VERSION;
 use protocol::settings::{BackendChoice, PictureSize};
+use scene::backend::UNLIMITED;
 use std::fmt::Write;
 
 /// A report for a person: versions, adapters with limits and features, and what `auto` would take.
@@ -35,7 +36,7 @@ pub fn report() -> String {
             line(format!("  missing: {}", adapter.missing.join(", ")));
         }
     }
-    match choose_backend(BackendChoice::Auto, PictureSize { width: 64, height: 64 }) {
+    match choose_backend(BackendChoice::Auto, PictureSize { width: 64, height: 64 }, UNLIMITED) {
         Ok(backend) => {
             line(format!("would use: {} ({})", backend.info().name, backend.info().driver))
         }

@@ -3,7 +3,7 @@
 use protocol::format::Texture;
 use protocol::id::BlobId;
 use protocol::telemetry::IoCounts;
-use scene::backend::{Backend, Draws};
+use scene::backend::{Backend, BackendError, Draws, Upload};
 use scene::store::{Store, StoreError};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -55,7 +55,7 @@ impl Residency {
         if blob.is_textured() && !self.textures_held {
             self.load_textures(store, backend)?;
         }
-        backend.upload(id, blob, bytes)?;
+        done(backend.upload(id, blob, bytes)?)?;
         self.held[id.index()] = true;
         self.bytes.fetch_add(blob.bytes, Ordering::Relaxed);
         self.counts.misses += 1;
@@ -70,7 +70,7 @@ impl Residency {
         let with_bytes = |(index, record): (u32, &Texture)| Ok((*record, store.texture(index)?));
         let textures: Vec<_> =
             (0..).zip(records).map(with_bytes).collect::<Result<_, StoreError>>()?;
-        backend.upload_textures(&textures)?;
+        done(backend.upload_textures(&textures)?)?;
         self.textures_held = true;
         let bytes: u64 = records.iter().map(|record| record.bytes).sum();
         self.bytes.fetch_add(bytes, Ordering::Relaxed);
@@ -81,5 +81,13 @@ impl Residency {
     /// What was counted since the last call.
     pub(crate) fn take_counts(&mut self) -> IoCounts {
         std::mem::take(&mut self.counts)
+    }
+}
+
+/// Nothing is evicted to make room.
+fn done(upload: Upload) -> Result<(), BackendError> {
+    match upload {
+        Upload::Done => Ok(()),
+        Upload::Full => Err(BackendError::Device("the scene exceeds its budget".to_owned())),
     }
 }

@@ -15,6 +15,7 @@ use protocol::session::node::WorkTimes;
 use protocol::settings::RunSettings;
 use protocol::telemetry::{BackendInfo, CullCounts, DrawCounts, IoCounts};
 use protocol::visible::VisibleSet;
+use scene::backend::UNLIMITED;
 use scene::store::Store;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -141,7 +142,7 @@ fn serve(
 ) -> Result<(), Stop> {
     let Ok(Job::Open { settings }) = jobs.recv() else { return Ok(()) };
     let store = Store::open(Path::new(&settings.scene_path))?;
-    let backend = choose_backend(settings.backend, settings.size)?;
+    let backend = choose_backend(settings.backend, settings.size, UNLIMITED)?;
     let folder = settings.pictures_dir.as_ref().map(PathBuf::from);
     let mut pictures = folder.map(|at| PictureWriter::start(at, settings.size)).transpose()?;
     say(Done::Opened(Opened { scene_digest: store.digest(), backend: backend.info() }))?;

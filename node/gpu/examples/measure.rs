@@ -6,7 +6,9 @@ use protocol::id::{BlobId, HlodId};
 use protocol::settings::{Cull, PictureSize};
 use rand::rngs::StdRng;
 use rand::{Rng, SeedableRng};
-use scene::backend::{Backend, BackendError, BoxQuery, Completion, Draw, Draws, Part, Pass, View};
+use scene::backend::{
+    Backend, BackendError, BoxQuery, Completion, Draw, Draws, Part, Pass, UNLIMITED, Upload, View,
+};
 use std::time::Instant;
 
 const ROUNDS: usize = 7;
@@ -20,7 +22,7 @@ fn main() -> Result<(), BackendError> {
     let size = PictureSize { width: side, height: side };
     println!("{:#?}", adapters());
     let start = Instant::now();
-    let mut backend = WgpuBackend::new(size, Adapter::Any, true)?;
+    let mut backend = WgpuBackend::new(size, Adapter::Any, true, UNLIMITED)?;
     println!("{}: started in {:?}", backend.info().driver, start.elapsed());
 
     let bytes = sheet();
@@ -29,7 +31,7 @@ fn main() -> Result<(), BackendError> {
     for blob in 0..MESHES {
         let classes = Class::OpaqueDouble.all(triangles);
         let record = Blob { vertices, triangles, classes, ..Blob::default() };
-        backend.upload(BlobId(blob), &record, &bytes)?;
+        assert_eq!(backend.upload(BlobId(blob), &record, &bytes)?, Upload::Done);
     }
     println!("upload: {:.0} MB/s", bytes.len() as f64 * 32e-6 / start.elapsed().as_secs_f64());
 

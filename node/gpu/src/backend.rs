@@ -9,16 +9,17 @@ use crate::pipelines::Pipelines;
 use crate::queries::{self, QueryBatch};
 use crate::readback::{Readback, Signal};
 use crate::recorder::Recorder;
+use crate::staging::Staging;
 use crate::stream_buffer::StreamBuffer;
 use crate::targets::{NOTHING_IN_FRONT, Targets, read_depth, written_depth};
-use crate::textures::Textures;
+use crate::textures::{Arranged, Textures};
 use protocol::format::Blob;
 use protocol::id::BlobId;
 use protocol::settings::{Cull, PictureSize};
 use protocol::telemetry::BackendInfo;
 use scene::backend::{
     Backend, BackendError, BoxQuery, Completion, Draw, NO_ITEM, Part, Pass, TextureUpload, Ticket,
-    UnderWay, View, light,
+    UNLIMITED, UnderWay, Upload, View, light,
 };
 use shaders::mirror::Frame;
 use std::collections::VecDeque;
@@ -34,6 +35,9 @@ pub struct WgpuBackend {
     targets: Targets,
     memory: GeometryMemory,
     textures: Textures,
+    /// Most bytes of both.
+    budget: u64,
+    staging: Staging,
     instances: StreamBuffer,
     boxes: StreamBuffer,
     query_pool: Vec<QueryBatch>,
@@ -55,17 +59,23 @@ pub(crate) struct Context<'a> {
 }
 
 impl WgpuBackend {
-    /// Opens an adapter and compiles the pipelines of the box tests; those of meshes follow at need. `inclusive_depth_test` is the rule of the box tests:
-    /// a box at the very depth of an occluder counts as visible, without which an occluder hides its own
-    /// box; `false` serves tests alone.
+    /// Opens an adapter and compiles the pipelines of the box tests; those of meshes follow at need.
+    ///
+    /// `inclusive_depth_test` is the rule of the box tests: a box at the very depth of an occluder counts
+    /// as visible, without which an occluder hides its own box; `false` serves tests alone.
+    ///
+    /// `budget_bytes` is the most that meshes and textures take ([`Backend::held_bytes`]). On top come
+    /// targets, what is read back, the instances of a part of a pass, and uploads on their way: an eighth
+    /// of the budget, 64 KiB to 32 MiB, and the mips of one texture.
     ///
     /// Errors: `NoAdapter`, `Unsupported` for a size beyond the adapter's limits, `Device`.
     pub fn new(
         size: PictureSize,
         choice: Adapter,
         inclusive_depth_test: bool,
+        budget_bytes: u64,
     ) -> Result<Self, BackendError> {
-        let device = Device::open(choice)?;
+        let device = Device::open(choice, budget_bytes != UNLIMITED)?;
         let targets = Targets::new(&device, size)?;
         let pipelines = Pipelines::new(&device, inclusive_depth_test);
         let textures = Textures::new(&device);
@@ -77,6 +87,8 @@ impl WgpuBackend {
             targets,
             memory: GeometryMemory::default(),
             textures,
+            budget: budget_bytes,
+            staging: Staging::new(budget_bytes),
             instances: StreamBuffer::default(),
             boxes: StreamBuffer::default(),
             query_pool: Vec::new(),
@@ -233,14 +245,30 @@ impl Backend for WgpuBackend {
         BackendInfo { name: "gpu".to_owned(), driver: format!("{name}, {driver}") }
     }
 
-    fn upload_textures(&mut self, textures: &[TextureUpload<'_>]) -> Result<(), BackendError> {
-        self.textures.upload(&self.device, textures)?;
-        self.device.fault.check()
+    fn held_bytes(&self) -> u64 {
+        self.memory.held_bytes() + self.textures.held_bytes()
     }
 
-    fn upload(&mut self, id: BlobId, blob: &Blob, bytes: &[u8]) -> Result<(), BackendError> {
-        self.memory.upload(&self.device, id, blob, bytes)?;
-        self.device.fault.check()
+    fn upload_textures(&mut self, textures: &[TextureUpload<'_>]) -> Result<Upload, BackendError> {
+        let arranged = Arranged::new(&self.device, textures)?;
+        let left = |held| self.budget.saturating_sub(held);
+        if left(self.memory.used_bytes()) < arranged.bytes() {
+            return Ok(Upload::Full);
+        }
+        if left(self.memory.held_bytes()) < arranged.bytes() {
+            self.memory.release_unused(&self.device)?;
+        }
+        self.textures.upload(&self.device, &mut self.staging, arranged, textures)?;
+        self.device.fault.check()?;
+        Ok(Upload::Done)
+    }
+
+    fn upload(&mut self, id: BlobId, blob: &Blob, bytes: &[u8]) -> Result<Upload, BackendError> {
+        let room = self.budget.saturating_sub(self.textures.held_bytes());
+        let mesh = (id, blob, bytes);
+        let upload = self.memory.upload(&self.device, &mut self.staging, room, mesh)?;
+        self.device.fault.check()?;
+        Ok(upload)
     }
 
     fn evict(&mut self, blob: BlobId) {

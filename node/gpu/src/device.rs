@@ -57,10 +57,10 @@ pub fn adapters() -> Vec<AdapterReport> {
 }
 
 impl Device {
-    /// Opens the best adapter of the kind asked for.
+    /// Opens the best adapter of the kind asked for. `frugal`: memory counts more than speed.
     ///
     /// Errors: `NoAdapter` where there is none, `Device` where the driver refuses.
-    pub(crate) fn open(choice: Adapter) -> Result<Self, BackendError> {
+    pub(crate) fn open(choice: Adapter, frugal: bool) -> Result<Self, BackendError> {
         let adapter = candidates(choice).into_iter().next().ok_or_else(|| {
             BackendError::NoAdapter(match choice {
                 Adapter::Any => "no graphics driver answered".to_owned(),
@@ -74,6 +74,11 @@ impl Device {
             label: Some("occluster"),
             required_features: adapter.features() & Features::SHADER_EARLY_DEPTH_TEST,
             required_limits: limits.clone(),
+            // In blocks of 8 MiB and more; else of 128, most of which a small budget leaves empty.
+            memory_hints: match frugal {
+                true => wgpu::MemoryHints::MemoryUsage,
+                false => wgpu::MemoryHints::Performance,
+            },
             ..Default::default()
         }))
         .map_err(|e| BackendError::Device(e.to_string()))?;
@@ -87,6 +92,17 @@ impl Device {
             name: info.name,
             can_mark_boxes,
         })
+    }
+
+    /// Waits until `submission` is done, and by default for all that was submitted; memory that is no
+    /// longer used is free then.
+    pub(crate) fn wait_for(
+        &self,
+        submission: Option<wgpu::SubmissionIndex>,
+    ) -> Result<(), BackendError> {
+        let wait = wgpu::PollType::Wait { submission_index: submission, timeout: None };
+        self.device.poll(wait).map_err(|e| BackendError::Device(e.to_string()))?;
+        self.fault.check()
     }
 
     /// The error for what this adapter cannot do.

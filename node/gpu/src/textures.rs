@@ -1,6 +1,7 @@
 //! Textures in device memory: one array a side, and where in them each texture lies.
 
 use crate::device::Device;
+use crate::staging::Staging;
 use protocol::format::texture::mip_bytes;
 use scene::backend::{BackendError, LARGEST_STORED_SIDE, TextureUpload, stored_mips};
 use shaders::mirror::TextureRecord;
@@ -9,13 +10,20 @@ use shaders::mirror::TextureRecord;
 /// in the lower mips of the first.
 const FIRST_SIDE: u32 = 16;
 const ARRAYS: usize = (LARGEST_STORED_SIDE / FIRST_SIDE).ilog2() as usize + 1;
-/// Uploads between two submissions, which free the staging memory behind them.
-const STAGING_BYTES: u64 = 32 << 20;
 
 /// The bind group of textured pipelines; nothing is made before the first.
 pub(crate) struct Textures {
     layout: wgpu::BindGroupLayout,
     group: Option<wgpu::BindGroup>,
+    /// Of what was uploaded.
+    bytes: u64,
+}
+
+/// Where textures will lie.
+pub(crate) struct Arranged {
+    records: Vec<TextureRecord>,
+    /// Of each array.
+    layers: [u32; ARRAYS],
 }
 
 impl Textures {
@@ -43,7 +51,7 @@ impl Textures {
             label: Some("textures"),
             entries: &entries,
         });
-        Self { layout, group: None }
+        Self { layout, group: None, bytes: 0 }
     }
 
     /// Layout of group 1 of textured pipelines.
@@ -60,14 +68,46 @@ impl Textures {
         })
     }
 
-    /// Copies all textures to the device, in place of any before.
+    /// Bytes of what was uploaded.
+    pub(crate) fn held_bytes(&self) -> u64 {
+        self.bytes
+    }
+
+    /// Copies all textures, which are so arranged, to the device, in place of any before: those are gone
+    /// from its memory when the first of these comes.
     ///
-    /// Errors: `Device` for bytes that are no texture, `Unsupported` for more than an array holds.
+    /// Errors: `Device`.
     pub(crate) fn upload(
         &mut self,
         device: &Device,
+        staging: &mut Staging,
+        arranged: Arranged,
         textures: &[TextureUpload<'_>],
     ) -> Result<(), BackendError> {
+        if self.group.take().is_some() {
+            device.wait_for(None)?;
+        }
+        self.bytes = arranged.bytes();
+        let arrays: [wgpu::Texture; ARRAYS] =
+            std::array::from_fn(|i| array(device, arranged.side(i), arranged.layers[i].max(1)));
+        for (record, (texture, bytes)) in arranged.records.iter().zip(textures) {
+            let (_, _, mips) = stored_mips(texture, bytes)?;
+            write(device, &arrays[record.array as usize], record, mips);
+            staging.wrote(device, mips.len() as u64)?;
+        }
+        self.group = Some(bind(device, &self.layout, &arranged.records, &arrays));
+        Ok(())
+    }
+}
+
+impl Arranged {
+    /// Finds a place for each.
+    ///
+    /// Errors: `Device` for bytes that are no texture, `Unsupported` for more than an array holds.
+    pub(crate) fn new(
+        device: &Device,
+        textures: &[TextureUpload<'_>],
+    ) -> Result<Self, BackendError> {
         let mut records = Vec::with_capacity(textures.len());
         let mut layers = [0u32; ARRAYS];
         for (texture, bytes) in textures {
@@ -91,23 +131,24 @@ impl Textures {
             let reason = format!("{count} textures of side {side}; an array holds {limit}");
             return Err(device.unsupported(reason));
         }
-        let arrays: [wgpu::Texture; ARRAYS] = std::array::from_fn(|i| match layers[i] {
-            0 => array(device, 1, 1),
-            count => array(device, FIRST_SIDE << i, count),
-        });
-        let mut staged = 0;
-        for (record, (texture, bytes)) in records.iter().zip(textures) {
-            let (_, _, mips) = stored_mips(texture, bytes)?;
-            write(device, &arrays[record.array as usize], record, mips);
-            staged += mips.len() as u64;
-            if staged >= STAGING_BYTES {
-                device.queue.submit([]);
-                staged = 0;
-            }
-        }
-        self.group = Some(bind(device, &self.layout, &records, &arrays));
-        Ok(())
+        Ok(Self { records, layers })
     }
+
+    /// Bytes of the arrays and the records.
+    pub(crate) fn bytes(&self) -> u64 {
+        let array = |i: usize| u64::from(self.layers[i].max(1)) * mip_bytes(self.side(i));
+        record_bytes(&self.records) + (0..ARRAYS).map(array).sum::<u64>()
+    }
+
+    /// Side of an array; one without a texture has a pixel, for something must be bound.
+    fn side(&self, array: usize) -> u32 {
+        if self.layers[array] == 0 { 1 } else { FIRST_SIDE << array }
+    }
+}
+
+/// Bytes of the buffer for these; a binding is not empty.
+fn record_bytes(records: &[TextureRecord]) -> u64 {
+    size_of_val(records).max(size_of::<TextureRecord>()) as u64
 }
 
 /// Writes all mips of one texture.
@@ -159,8 +200,7 @@ fn bind(
     let bytes = bytemuck::cast_slice(records);
     let buffer = device.device.create_buffer(&wgpu::BufferDescriptor {
         label: Some("texture records"),
-        // A binding is not empty.
-        size: (bytes.len().max(size_of::<TextureRecord>())) as u64,
+        size: record_bytes(records),
         usage: wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_DST,
         mapped_at_creation: false,
     });

@@ -1,8 +1,8 @@
 //! Seeded scenes for tests: a complete tree over small meshes of the kinds that are hard to cull,
 //! of all classes, some textured.
 
-use crate::backend::Backend;
 use crate::backend::cpu::CpuBackend;
+use crate::backend::{Backend, Upload};
 use crate::occludee::Rules;
 use bytemuck::Zeroable;
 use geometry::bounds::Aabb;
@@ -71,9 +71,10 @@ impl RandomScene {
     pub(crate) fn backend(&self, size: PictureSize, rules: &Rules) -> CpuBackend {
         let mut backend = CpuBackend::with_rules(size, rules);
         let textures: Vec<_> = self.textures.iter().map(|(t, bytes)| (*t, &bytes[..])).collect();
-        backend.upload_textures(&textures).unwrap();
+        assert_eq!(backend.upload_textures(&textures).unwrap(), Upload::Done);
         for (id, (blob, bytes)) in self.skeleton.blobs.iter().zip(&self.blob_bytes).enumerate() {
-            backend.upload(BlobId(id as u32), blob, bytes).unwrap();
+            let upload = backend.upload(BlobId(id as u32), blob, bytes).unwrap();
+            assert_eq!(upload, Upload::Done);
         }
         backend
     }

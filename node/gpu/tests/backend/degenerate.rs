@@ -5,7 +5,7 @@ use gpu::{Adapter, WgpuBackend};
 use protocol::format::Blob;
 use protocol::id::BlobId;
 use protocol::settings::{Cull, PictureSize};
-use scene::backend::{Backend, BackendError, BoxQuery, NO_ITEM};
+use scene::backend::{Backend, BackendError, BoxQuery, NO_ITEM, UNLIMITED, Upload};
 
 #[test]
 fn nothing_gives_sky_and_no_answers() {
@@ -33,7 +33,7 @@ fn nothing_gives_sky_and_no_answers() {
 fn a_blob_of_nothing_draws_nothing() {
     let Some(mut backend) = backend(8, 8) else { return };
     let square = Mesh::square([0.0, 0.0, 1.0], u32::MAX);
-    backend.upload(BlobId(0), &plain_blob(0, 0), &[]).unwrap();
+    assert_eq!(backend.upload(BlobId(0), &plain_blob(0, 0), &[]).unwrap(), Upload::Done);
     Mesh { vertices: square.vertices, indices: vec![] }.upload(&mut backend, 1);
     let draws = [0, 1].map(|blob| draw(blob, blob, [1.0; 3], [-0.5, -0.5, -1.0]));
     assert_eq!(items(&mut backend, view(8, 8), &draws), [NO_ITEM; 64]);
@@ -72,7 +72,7 @@ fn impossible_sizes_are_refused() {
         return;
     }
     for (width, height) in [(0, 4), (4, 0), (1 << 20, 4), (4, u32::MAX)] {
-        let made = WgpuBackend::new(PictureSize { width, height }, Adapter::Any, true);
+        let made = WgpuBackend::new(PictureSize { width, height }, Adapter::Any, true, UNLIMITED);
         assert!(matches!(made.err(), Some(BackendError::Unsupported { .. })), "{width}x{height}");
     }
 }

@@ -3,8 +3,10 @@
 
 mod against_cpu;
 mod boxes;
+mod budget;
 mod degenerate;
 mod materials;
 mod memory;
+mod parts;
 mod pictures;
 mod support;

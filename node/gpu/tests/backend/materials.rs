@@ -8,7 +8,7 @@ use protocol::id::BlobId;
 use rand::rngs::StdRng;
 use rand::{Rng, SeedableRng};
 use scene::backend::cpu::CpuBackend;
-use scene::backend::{Backend, Draw, NO_ITEM, Part, Picture};
+use scene::backend::{Backend, Draw, NO_ITEM, Part, Picture, Upload};
 
 const WIDTH: u32 = 127;
 const HEIGHT: u32 = 95;
@@ -32,14 +32,20 @@ impl Both {
         };
         let made: Vec<_> = textures.iter().map(record).collect();
         let textures: Vec<_> = made.iter().map(|(texture, bytes)| (*texture, &bytes[..])).collect();
-        both.gpu.upload_textures(&textures).expect("sound textures");
-        both.cpu.upload_textures(&textures).expect("sound textures");
+        let backends: [&mut dyn Backend; 2] = [&mut both.gpu, &mut both.cpu];
+        for backend in backends {
+            let upload = backend.upload_textures(&textures).expect("sound textures");
+            assert_eq!(upload, Upload::Done);
+        }
         Some(both)
     }
 
     fn upload(&mut self, id: u32, blob: &Blob, bytes: &[u8]) {
-        self.gpu.upload(BlobId(id), blob, bytes).expect("a sound blob");
-        self.cpu.upload(BlobId(id), blob, bytes).expect("a sound blob");
+        let backends: [&mut dyn Backend; 2] = [&mut self.gpu, &mut self.cpu];
+        for backend in backends {
+            let upload = backend.upload(BlobId(id), blob, bytes).expect("a sound blob");
+            assert_eq!(upload, Upload::Done);
+        }
     }
 
     /// The unit square of one class; textured where there is a texture coordinate at its corner (1, 1).

@@ -7,7 +7,8 @@ use protocol::settings::{Cull, PictureSize};
 use rand::Rng;
 use rand::rngs::StdRng;
 use scene::backend::{
-    Backend, BackendError, BoxQuery, Completion, Draw, Draws, Part, Pass, Picture, View,
+    Backend, BackendError, BoxQuery, Completion, Draw, Draws, Part, Pass, Picture, UNLIMITED,
+    Upload, View,
 };
 
 pub(crate) const NEAR: f32 = 0.125;
@@ -30,7 +31,8 @@ impl Mesh {
     pub(crate) fn upload(&self, backend: &mut impl Backend, blob: u32) {
         let triangles = self.indices.len() as u32 / 3;
         let record = plain_blob(self.vertices.len() as u32, triangles);
-        backend.upload(BlobId(blob), &record, &self.bytes()).expect("a sound blob");
+        let upload = backend.upload(BlobId(blob), &record, &self.bytes()).expect("a sound blob");
+        assert_eq!(upload, Upload::Done);
     }
 
     /// Corners at 0 and 1; outward faces, one normal for all.
@@ -92,12 +94,21 @@ pub(crate) fn backend(width: u32, height: u32) -> Option<WgpuBackend> {
     backend_with(width, height, true)
 }
 
+/// One that holds at most `budget` bytes.
+pub(crate) fn backend_within(width: u32, height: u32, budget: u64) -> Option<WgpuBackend> {
+    opened(width, height, true, budget)
+}
+
 pub(crate) fn backend_with(width: u32, height: u32, inclusive: bool) -> Option<WgpuBackend> {
+    opened(width, height, inclusive, UNLIMITED)
+}
+
+fn opened(width: u32, height: u32, inclusive: bool, budget: u64) -> Option<WgpuBackend> {
     let wish = std::env::var("GPU_TESTS").unwrap_or_else(|_| "auto".into());
     if wish == "off" {
         return None;
     }
-    match WgpuBackend::new(PictureSize { width, height }, Adapter::Any, inclusive) {
+    match WgpuBackend::new(PictureSize { width, height }, Adapter::Any, inclusive, budget) {
         Ok(backend) => Some(backend),
         Err(BackendError::NoAdapter(why)) if wish != "require" => {
             eprintln!("skipped: no graphics adapter: {why}");

@@ -187,6 +187,19 @@ pub enum Completion {
     },
 }
 
+/// The budget of a backend that may take all the memory there is.
+pub const UNLIMITED: u64 = u64::MAX;
+
+/// What became of an upload.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[must_use]
+pub enum Upload {
+    /// It is there.
+    Done,
+    /// The backend's budget has no room for it, and nothing changed. Evicting makes room.
+    Full,
+}
+
 /// Why a backend cannot go on.
 #[derive(Debug, Clone, thiserror::Error)]
 pub enum BackendError {
@@ -207,19 +220,29 @@ pub enum BackendError {
 }
 
 /// Draws passes. Uploads come before the passes that use them.
+///
+/// A backend is made with a budget: the bytes that meshes and textures take together never exceed it.
 pub trait Backend {
     /// What this is, for the log.
     fn info(&self) -> BackendInfo;
 
+    /// All memory taken for meshes and textures, bytes: also what is kept for those to come, so it need
+    /// not fall when a blob is evicted.
+    fn held_bytes(&self) -> u64;
+
     /// Takes all textures of the scene, by their index, in place of any before. They come before the
     /// first textured blob.
-    fn upload_textures(&mut self, textures: &[TextureUpload<'_>]) -> Result<(), BackendError>;
+    fn upload_textures(&mut self, textures: &[TextureUpload<'_>]) -> Result<Upload, BackendError>;
 
     /// Takes a blob's bytes: [`protocol::format::vertex`] vertices, then 16-bit indices. Of `blob` it
-    /// reads counts, layout and classes.
-    fn upload(&mut self, id: BlobId, blob: &Blob, bytes: &[u8]) -> Result<(), BackendError>;
+    /// reads counts, layout and classes. One that takes the place of another of that id needs room
+    /// beside it.
+    ///
+    /// What is free may lie in pieces too short for a blob. When all blobs are evicted, any has room that,
+    /// its bytes rounded up to a multiple of 32, the budget less the textures holds.
+    fn upload(&mut self, id: BlobId, blob: &Blob, bytes: &[u8]) -> Result<Upload, BackendError>;
 
-    /// Forgets a blob.
+    /// Forgets a blob. Passes that were submitted still draw it.
     fn evict(&mut self, blob: BlobId);
 
     /// Starts a pass or goes on with one.

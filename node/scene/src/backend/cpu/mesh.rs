@@ -13,6 +13,20 @@ pub(super) struct Texturing {
     pub(super) cutoff: f32,
 }
 
+fn damaged(id: BlobId, what: &str) -> BackendError {
+    BackendError::Device(format!("mesh {id} is damaged: {what}"))
+}
+
+/// Bytes that a blob will take.
+///
+/// Errors: `Device` where it is shorter.
+pub(super) fn bytes_of(id: BlobId, blob: &Blob, bytes: &[u8]) -> Result<u64, BackendError> {
+    let triangle_bytes = size_of::<[u16; 3]>() as u64;
+    let needed = blob.vertex_bytes() as u64 + u64::from(blob.triangles) * triangle_bytes;
+    let too_short = || damaged(id, "it is shorter than its counts say");
+    (needed <= bytes.len() as u64).then_some(needed).ok_or_else(too_short)
+}
+
 /// Vertices and triangles of a blob.
 pub(super) struct Mesh {
     /// At most [`protocol::format::vertex::MAX_BLOB_VERTICES`].
@@ -28,15 +42,13 @@ pub(super) struct Mesh {
 impl Mesh {
     /// Reads a blob ([`protocol::format::vertex`]); its bytes may come from anywhere.
     pub(super) fn read(id: BlobId, blob: &Blob, bytes: &[u8]) -> Result<Self, BackendError> {
-        let damaged = |what: &str| BackendError::Device(format!("mesh {id} is damaged: {what}"));
-        let too_short = || damaged("it is shorter than its counts say");
-        let (vertex_bytes, rest) =
-            bytes.split_at_checked(blob.vertex_bytes()).ok_or_else(too_short)?;
-        let index_bytes = blob.triangles as usize * size_of::<[u16; 3]>();
-        let index_bytes = rest.get(..index_bytes).ok_or_else(too_short)?;
+        let needed = bytes_of(id, blob, bytes)?;
+        let (vertex_bytes, index_bytes) = bytes[..needed as usize].split_at(blob.vertex_bytes());
+        let count = blob.vertices as usize;
         // `bytes` may lie at any address, so values are copied out one by one.
-        let (mut vertices, mut texturing) = (Vec::new(), Vec::new());
+        let (mut vertices, mut texturing) = (Vec::with_capacity(count), Vec::new());
         if blob.is_textured() {
+            texturing.reserve_exact(count);
             let (chunks, _) = vertex_bytes.as_chunks::<{ size_of::<TexturedVertex>() }>();
             for chunk in chunks {
                 let vertex: TexturedVertex = bytemuck::pod_read_unaligned(chunk);
@@ -54,17 +66,24 @@ impl Mesh {
             .map(|&[a, b, c, d, e, f]| [[a, b], [c, d], [e, f]].map(u16::from_le_bytes))
             .collect();
         if triangles.as_flattened().iter().any(|&index| usize::from(index) >= vertices.len()) {
-            return Err(damaged("a triangle names a vertex it does not have"));
+            return Err(damaged(id, "a triangle names a vertex it does not have"));
         }
         let sum: u64 = blob.classes.iter().map(|&count| u64::from(count)).sum();
         if sum != u64::from(blob.triangles) {
-            return Err(damaged("its classes do not add up to its triangles"));
+            return Err(damaged(id, "its classes do not add up to its triangles"));
         }
         let classes = Class::ALL.map(|class| {
             let range = blob.triangles_of(class);
             range.start as usize..range.end as usize
         });
         Ok(Self { vertices: vertices.into(), texturing: texturing.into(), triangles, classes })
+    }
+
+    /// Bytes of its arrays.
+    pub(super) fn held_bytes(&self) -> u64 {
+        let Self { vertices, texturing, triangles, classes: _ } = self;
+        let bytes = size_of_val(&**vertices) + size_of_val(&**texturing);
+        (bytes + size_of_val(&**triangles)) as u64
     }
 
     /// Its triangles of one class.
@@ -117,6 +136,7 @@ mod tests {
         let mesh = Mesh::read(ID, &made, &bytes).unwrap();
         assert_eq!(mesh.triangles_of(Class::MaskDouble), 1..2);
         assert!(mesh.triangles_of(Class::BlendDouble).is_empty());
+        assert_eq!(mesh.held_bytes(), bytes_of(ID, &made, &bytes).unwrap());
         assert_eq!((mesh.texturing[0].tex_coord, mesh.texturing[0].texture), ([2.5, 0.0], 7));
     }
 }

@@ -15,7 +15,7 @@ mod texture;
 
 use super::{
     Backend, BackendError, BoxQuery, Completion, Draw, Part, Pass, Picture, TextureUpload, Ticket,
-    UnderWay, View,
+    UNLIMITED, UnderWay, Upload, View,
 };
 use crate::occludee::Rules;
 use canvas::{Canvas, Layer};
@@ -36,6 +36,10 @@ pub struct CpuBackend {
     size: PictureSize,
     inclusive: bool,
     meshes: HashMap<BlobId, Mesh>,
+    /// Of all meshes.
+    mesh_bytes: u64,
+    /// Most bytes of meshes and textures.
+    budget: u64,
     /// The occlusion depth, once there is one.
     occlusion: Option<(Depth, TileMinima)>,
     textures: Textures,
@@ -59,6 +63,8 @@ impl CpuBackend {
             size,
             inclusive: rules.depth_test_inclusive,
             meshes: HashMap::new(),
+            mesh_bytes: 0,
+            budget: UNLIMITED,
             occlusion: None,
             textures: Textures::new(),
             srgb: SrgbEncoder::new(),
@@ -67,6 +73,12 @@ impl CpuBackend {
             next_ticket: 0,
             done: VecDeque::new(),
         }
+    }
+
+    /// This one, whose meshes and textures take at most so many bytes ([`Backend::held_bytes`]). On top
+    /// come what passes draw on and, for each draw of a part, some 300 bytes.
+    pub fn with_budget(self, budget: u64) -> Self {
+        Self { budget, ..self }
     }
 
     fn projection(&self, view: &View) -> Projection {
@@ -131,17 +143,35 @@ impl Backend for CpuBackend {
         BackendInfo { name: "cpu".into(), driver: "embedded z-buffer rasteriser".into() }
     }
 
-    fn upload_textures(&mut self, textures: &[TextureUpload<'_>]) -> Result<(), BackendError> {
-        self.textures.set(textures)
+    fn held_bytes(&self) -> u64 {
+        self.mesh_bytes + self.textures.held_bytes()
     }
 
-    fn upload(&mut self, id: BlobId, blob: &Blob, bytes: &[u8]) -> Result<(), BackendError> {
-        self.meshes.insert(id, Mesh::read(id, blob, bytes)?);
-        Ok(())
+    fn upload_textures(&mut self, textures: &[TextureUpload<'_>]) -> Result<Upload, BackendError> {
+        let needed = texture::bytes_of(textures)?;
+        if self.mesh_bytes.saturating_add(needed) > self.budget {
+            return Ok(Upload::Full);
+        }
+        self.textures.set(textures)?;
+        Ok(Upload::Done)
+    }
+
+    fn upload(&mut self, id: BlobId, blob: &Blob, bytes: &[u8]) -> Result<Upload, BackendError> {
+        let needed = mesh::bytes_of(id, blob, bytes)?;
+        if self.held_bytes().saturating_add(needed) > self.budget {
+            return Ok(Upload::Full);
+        }
+        let mesh = Mesh::read(id, blob, bytes)?;
+        self.evict(id);
+        self.mesh_bytes += mesh.held_bytes();
+        self.meshes.insert(id, mesh);
+        Ok(Upload::Done)
     }
 
     fn evict(&mut self, blob: BlobId) {
-        self.meshes.remove(&blob);
+        if let Some(mesh) = self.meshes.remove(&blob) {
+            self.mesh_bytes -= mesh.held_bytes();
+        }
     }
 
     fn submit(&mut self, pass: Pass) -> Result<Ticket, BackendError> {

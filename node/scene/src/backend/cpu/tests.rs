@@ -53,7 +53,8 @@ fn backend_with(size: PictureSize, sheets: &[(u32, u32, Vec<u8>)]) -> CpuBackend
     for (id, (vertices, triangles, bytes)) in sheets.iter().enumerate() {
         let classes = Class::OpaqueDouble.all(*triangles);
         let blob = Blob { vertices: *vertices, triangles: *triangles, classes, ..Blob::default() };
-        backend.upload(BlobId(id as u32), &blob, bytes).unwrap();
+        let upload = backend.upload(BlobId(id as u32), &blob, bytes).unwrap();
+        assert_eq!(upload, Upload::Done);
     }
     backend
 }

@@ -15,6 +15,13 @@ pub(super) struct Footprint {
     pub(super) down: [f32; 2],
 }
 
+/// Bytes that textures will take.
+///
+/// Errors: `Device` for bytes that are no texture.
+pub(super) fn bytes_of(textures: &[TextureUpload<'_>]) -> Result<u64, BackendError> {
+    textures.iter().map(|(texture, bytes)| Ok(stored_mips(texture, bytes)?.2.len() as u64)).sum()
+}
+
 /// All textures of a scene.
 pub(super) struct Textures {
     linear: Vec<f32>,
@@ -34,8 +41,14 @@ impl Textures {
         Self { linear: (0..=u8::MAX).map(srgb_to_linear).collect(), all: Vec::new() }
     }
 
-    /// Takes all textures anew.
+    /// Bytes of all pixels.
+    pub(super) fn held_bytes(&self) -> u64 {
+        self.all.iter().map(|texture| size_of_val(&*texture.pixels) as u64).sum()
+    }
+
+    /// Takes all textures anew; those before are gone when the first of these comes.
     pub(super) fn set(&mut self, textures: &[TextureUpload<'_>]) -> Result<(), BackendError> {
+        self.all.clear();
         let read = |(texture, bytes): &TextureUpload<'_>| {
             let (side, wrap, bytes) = stored_mips(texture, bytes)?;
             Ok(Texture { side, wrap, pixels: bytes.as_chunks::<4>().0.into() })
