@@ -74,6 +74,7 @@ impl Device {
             label: Some("occluster"),
             required_features: adapter.features() & Features::SHADER_EARLY_DEPTH_TEST,
             required_limits: limits.clone(),
+            // In blocks of 8 MiB and more; else of 128, most of which a small budget leaves empty.
             memory_hints: match frugal {
                 true => wgpu::MemoryHints::MemoryUsage,
                 false => wgpu::MemoryHints::Performance,

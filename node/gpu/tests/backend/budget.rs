@@ -7,7 +7,7 @@ use protocol::id::BlobId;
 use rand::rngs::StdRng;
 use rand::{Rng, SeedableRng};
 use scene::backend::cpu::CpuBackend;
-use scene::backend::{Backend, Upload};
+use scene::backend::{Backend, TextureUpload, Upload};
 
 /// Bytes of which ranges are multiples. A triangle of a soup takes 54 bytes.
 const GRAIN: u64 = 32;
@@ -68,29 +68,33 @@ fn texture(side: u32) -> (Texture, Vec<u8>) {
     (Texture { offset: 0, bytes: length, side, wrap: 0, crc: 0, reserved: 0 }, bytes)
 }
 
+fn all(backend: &mut impl Backend, textures: &[TextureUpload<'_>]) -> Upload {
+    backend.upload_textures(textures).expect("sound textures")
+}
+
 /// Textures and meshes share `budget`.
 fn textures_count(backend: &mut impl Backend, budget: u64) {
     let made: Vec<_> = [16, 64, 64].map(texture).into();
     let uploads: Vec<_> = made.iter().map(|(texture, bytes)| (*texture, &bytes[..])).collect();
     let meshes = backend.held_bytes();
-    assert_eq!(backend.upload_textures(&uploads).unwrap(), Upload::Done);
+    assert_eq!(all(backend, &uploads), Upload::Done);
     let held = backend.held_bytes();
     let bytes: u64 = made.iter().map(|(_, bytes)| bytes.len() as u64).sum();
     assert!(held >= meshes + bytes && held <= budget, "{held}");
     // In place of the first, not beside them.
-    assert_eq!(backend.upload_textures(&uploads).unwrap(), Upload::Done);
+    assert_eq!(all(backend, &uploads), Upload::Done);
     assert_eq!(backend.held_bytes(), held);
     let rest = budget - held;
     assert_eq!(upload(backend, 0, rest / 54 + 2), Upload::Full);
     assert_eq!(upload(backend, 0, (rest - GRAIN) / 54), Upload::Done);
     let more = [&uploads[..], &uploads[..]].concat();
     let before = backend.held_bytes();
-    assert_eq!(backend.upload_textures(&more).unwrap(), Upload::Full);
+    assert_eq!(all(backend, &more), Upload::Full);
     assert_eq!(backend.held_bytes(), before);
     backend.evict(BlobId(0));
-    assert_eq!(backend.upload_textures(&more).unwrap(), Upload::Done);
+    assert_eq!(all(backend, &more), Upload::Done);
     assert!(backend.held_bytes() <= budget);
-    assert_eq!(backend.upload_textures(&[]).unwrap(), Upload::Done);
+    assert_eq!(all(backend, &[]), Upload::Done);
     assert!(backend.held_bytes() < held);
 }
 

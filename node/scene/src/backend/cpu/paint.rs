@@ -55,6 +55,9 @@ impl<'a> Painter<'a> {
 
     /// Writes depth and linear colours of what is solid.
     pub(super) fn paint(&self, depth: &mut Depth, colors: &mut [[f32; 3]]) {
+        if self.draws.is_empty() {
+            return;
+        }
         // Colours are worked out once a pixel, when all that could hide it has been drawn.
         let mut owners = vec![NO_OWNER; pixel_count(self.projection.size)];
         self.own(depth, &mut owners, |owner| owner);
