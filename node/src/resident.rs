@@ -35,6 +35,8 @@ pub(crate) struct Loader {
     now: Stamp,
     /// Blobs that cannot be read.
     lost: Vec<bool>,
+    /// The first camera was seen.
+    is_expecting: bool,
     /// Last cameras, by frame.
     cameras: [Option<(FrameIndex, Camera)>; 2],
     /// Bytes this frame may still take in of what nobody waits for.
@@ -70,6 +72,7 @@ impl Loader {
             prefetch,
             now: 0,
             lost: vec![false; blobs],
+            is_expecting: false,
             cameras: [None; 2],
             upload_left: UPLOAD_BYTES,
             peak,
@@ -84,10 +87,6 @@ impl Loader {
 
     /// Begins another drawing: what it uses is younger than all before.
     pub(crate) fn begin_drawing(&mut self, backend: &dyn Backend) {
-        // A node that never draws never loads.
-        if self.now == 0 && self.prefetch && self.budget.fits {
-            self.io.foresee(Order::Everything);
-        }
         self.now += 1;
         self.upload_left = UPLOAD_BYTES;
         self.note_peak(backend);
@@ -336,6 +335,20 @@ impl Loader {
         }
     }
 
+    /// Has the front of the first camera read ahead, before anybody knows what of it is visible; and then,
+    /// where the scene fits, all the rest. A node that never draws never loads.
+    pub(crate) fn foresee_first(&mut self, camera: &Camera) {
+        if self.is_expecting || !self.prefetch {
+            return;
+        }
+        self.is_expecting = true;
+        let motion = Motion { before: *camera, now: *camera, frames: 1 };
+        self.read_ahead(Outlook { motion, visible: Arc::new(VisibleSet::whole_scene()) });
+        if self.budget.fits {
+            self.io.foresee(Order::Everything);
+        }
+    }
+
     /// Learns where the camera of a frame is and what is visible, and has read ahead what that lets
     /// expect. A scene that fits is on its way as a whole, and no word is lost.
     pub(crate) fn foresee(
@@ -353,7 +366,10 @@ impl Loader {
         let [before, Some((last, now))] = self.cameras else { return };
         let (first, before) = before.unwrap_or((last, now));
         let motion = Motion { before, now, frames: (last.0 - first.0).max(1) };
-        let outlook = Outlook { motion, visible: Arc::clone(visible) };
+        self.read_ahead(Outlook { motion, visible: Arc::clone(visible) });
+    }
+
+    fn read_ahead(&self, outlook: Outlook) {
         // What the present drawing uses stays; the rest makes room.
         let in_use: Vec<BlobId> = self.residency.used_since(self.now).collect();
         let used = in_use.iter().map(|&blob| self.skeleton.blob(blob).bytes);

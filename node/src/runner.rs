@@ -10,9 +10,9 @@ use crate::{NodeError, worker};
 use protocol::camera::Camera;
 use protocol::id::{FrameIndex, Seat};
 use protocol::message::{FailureKind, Message, Token};
-use protocol::schedule::{self, Phase};
+use protocol::schedule::{self, Phase, Role};
 use protocol::session::node::{Node, Output, Peer, ProcessState};
-use protocol::settings::RunSettings;
+use protocol::settings::{Cull, RunSettings};
 use protocol::telemetry::LinkBytes;
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -212,8 +212,13 @@ impl Runner {
         } else {
             None
         };
+        let draws = work.is_some_and(|(role, _)| match role {
+            Role::OcclusionRepresentation => settings.cull != Cull::Off,
+            Role::HardwareCull => false,
+            Role::RenderVisibleGeometry => true,
+        });
         if let Some(camera) = camera {
-            self.worker.order(Job::MakeFront { camera });
+            self.worker.order(Job::MakeFront { camera, draws });
         }
     }
 

@@ -26,8 +26,8 @@ const QUEUED: usize = 8;
 pub(crate) enum Job {
     /// Open the scene and start the backend.
     Open { settings: RunSettings },
-    /// Make the front of a camera that is about to be needed.
-    MakeFront { camera: Camera },
+    /// Make the front of a camera that is about to be needed; `draws`: for geometry, too.
+    MakeFront { camera: Camera, draws: bool },
     /// OR: make the depth of `frame`.
     Occlude { frame: FrameIndex, camera: Camera, occluders: Arc<VisibleSet> },
     /// HC: find V_frame.
@@ -147,7 +147,7 @@ fn serve(
         let times = |io: IoCounts| WorkTimes { started, finished: clock.now(), io };
         match job {
             Job::Open { .. } => unreachable!("a session prepares once"),
-            Job::MakeFront { camera } => stage.make_front(&camera),
+            Job::MakeFront { camera, draws } => stage.make_front(&camera, draws),
             Job::Occlude { frame, camera, occluders } => {
                 let counts = occlusion_representation::run(&mut stage, &camera, &occluders)?;
                 let times = times(stage.take_io());

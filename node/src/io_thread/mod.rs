@@ -49,7 +49,7 @@ pub(crate) enum Order {
         /// Bytes beside that.
         room: u64,
     },
-    /// The scene fits: everything.
+    /// The scene fits: after all that was ordered, everything.
     Everything,
 }
 
@@ -136,6 +136,7 @@ impl IoThread {
             likely: Arc::clone(&likely),
             fetched: VecDeque::new(),
             ahead: VecDeque::new(),
+            rest: 0..0,
             room: 0,
         };
         std::thread::Builder::new().name("io".to_owned()).spawn(move || reader.run())?;
@@ -170,6 +171,8 @@ struct Reader<S> {
     fetched: VecDeque<BlobId>,
     /// To be read ahead.
     ahead: VecDeque<BlobId>,
+    /// Blobs to be read after all that.
+    rest: std::ops::Range<u32>,
     /// Bytes that the forecast may still take.
     room: u64,
 }
@@ -224,9 +227,7 @@ impl<S: Source> Reader<S> {
                 self.room = room;
                 self.forecaster.begin(outlook);
             }
-            Order::Everything => {
-                self.ahead = (0..self.skeleton.blobs.len() as u32).map(BlobId).collect();
-            }
+            Order::Everything => self.rest = 0..self.skeleton.blobs.len() as u32,
         }
     }
 
@@ -243,11 +244,16 @@ impl<S: Source> Reader<S> {
                     return Some((blob, true));
                 }
             }
-            if self.room == 0 || !self.orders.is_empty() {
+            if !self.orders.is_empty() {
                 return None;
             }
-            let (_, levels) = self.forecaster.next_levels()?;
-            levels.into_iter().for_each(|level| self.expect(level));
+            match self.forecaster.next_levels().filter(|_| self.room > 0) {
+                Some((_, levels)) => levels.into_iter().for_each(|level| self.expect(level)),
+                None => self.ahead.extend(self.rest.next().map(BlobId)),
+            }
+            if self.ahead.is_empty() && self.rest.is_empty() && self.forecaster.is_done() {
+                return None;
+            }
         }
     }
 

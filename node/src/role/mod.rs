@@ -76,8 +76,12 @@ impl<'a> Stage<'a> {
         self.backend.info()
     }
 
-    /// Makes the front of `camera` unless it is the last one made.
-    pub(crate) fn make_front(&mut self, camera: &Camera) {
+    /// Makes the front of `camera` unless it is the last one made. `draws`: its geometry is about to be
+    /// needed, of which the first camera is the first word.
+    pub(crate) fn make_front(&mut self, camera: &Camera, draws: bool) {
+        if draws {
+            self.loader.foresee_first(camera);
+        }
         self.front(camera);
     }
 
