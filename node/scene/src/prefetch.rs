@@ -118,11 +118,6 @@ impl Forecaster {
         self.steps = Steps { outlook: Some(outlook), ..Steps::default() };
     }
 
-    /// No forecast is under way.
-    pub fn is_done(&self) -> bool {
-        self.steps.outlook.is_none()
-    }
-
     /// The next levels in order of need, some of which may have been named before; none once the
     /// forecast is complete. Each call does a part of the work.
     pub fn next_levels(&mut self) -> Option<(Event, Vec<u32>)> {

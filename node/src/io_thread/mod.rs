@@ -247,12 +247,10 @@ impl<S: Source> Reader<S> {
             if !self.orders.is_empty() {
                 return None;
             }
-            match self.forecaster.next_levels().filter(|_| self.room > 0) {
+            let named = if self.room > 0 { self.forecaster.next_levels() } else { None };
+            match named {
                 Some((_, levels)) => levels.into_iter().for_each(|level| self.expect(level)),
-                None => self.ahead.extend(self.rest.next().map(BlobId)),
-            }
-            if self.ahead.is_empty() && self.rest.is_empty() && self.forecaster.is_done() {
-                return None;
+                None => self.ahead.push_back(BlobId(self.rest.next()?)),
             }
         }
     }
