@@ -4,6 +4,7 @@ use gpu::{Adapter, WgpuBackend};
 use protocol::settings::{BackendChoice, PictureSize};
 use scene::backend::cpu::CpuBackend;
 use scene::backend::{Backend, BackendError};
+use scene::occludee::Rules;
 
 /// No renderer of the kind asked for.
 #[derive(Debug, Clone, thiserror::Error)]
@@ -18,7 +19,7 @@ pub fn choose_backend(
     choice: BackendChoice,
     size: PictureSize,
 ) -> Result<Box<dyn Backend>, ChooseError> {
-    let on = |adapter| match WgpuBackend::new(size, adapter, true) {
+    let on = |adapter| match WgpuBackend::new(size, adapter, &Rules::default()) {
         Ok(backend) => Ok(Box::new(backend) as Box<dyn Backend>),
         Err(error) => Err(error),
     };

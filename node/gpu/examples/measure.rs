@@ -7,6 +7,7 @@ use protocol::settings::{Cull, PictureSize};
 use rand::rngs::StdRng;
 use rand::{Rng, SeedableRng};
 use scene::backend::{Backend, BackendError, BoxQuery, Completion, Draw, Pass, View};
+use scene::occludee::Rules;
 use std::time::Instant;
 
 const ROUNDS: usize = 7;
@@ -20,7 +21,7 @@ fn main() -> Result<(), BackendError> {
     let size = PictureSize { width: side, height: side };
     println!("{:#?}", adapters());
     let start = Instant::now();
-    let mut backend = WgpuBackend::new(size, Adapter::Any, true)?;
+    let mut backend = WgpuBackend::new(size, Adapter::Any, &Rules::default())?;
     println!("{}: started in {:?}", backend.info().driver, start.elapsed());
 
     let bytes = sheet();

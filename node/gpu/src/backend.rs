@@ -20,6 +20,7 @@ use scene::backend::{
     Backend, BackendError, BoxQuery, Completion, Draw, NO_ITEM, Pass, TextureUpload, Ticket, View,
     light,
 };
+use scene::occludee::Rules;
 use shaders::mirror::Frame;
 use std::collections::VecDeque;
 
@@ -49,25 +50,21 @@ pub(crate) struct Context<'a> {
 }
 
 impl WgpuBackend {
-    /// Opens an adapter and compiles the pipelines of the box tests; those of meshes follow at need. `inclusive_depth_test` is the rule of the box tests:
-    /// a box at the very depth of an occluder counts as visible, without which an occluder hides its own
-    /// box; `false` serves tests alone.
+    /// Opens an adapter and compiles the pipelines of the box tests; those of meshes follow at need. Of
+    /// the rules it follows those of the depth test and of the bias.
     ///
     /// Errors: `NoAdapter`, `Unsupported` for a size beyond the adapter's limits, `Device`.
-    pub fn new(
-        size: PictureSize,
-        choice: Adapter,
-        inclusive_depth_test: bool,
-    ) -> Result<Self, BackendError> {
+    pub fn new(size: PictureSize, choice: Adapter, rules: &Rules) -> Result<Self, BackendError> {
         let device = Device::open(choice)?;
         let targets = Targets::new(&device, size)?;
-        let pipelines = Pipelines::new(&device, inclusive_depth_test);
+        let pipelines = Pipelines::new(&device, rules);
+        let meshes = MeshPipelines::new(&device, rules);
         let textures = Textures::new(&device);
         device.fault.check()?;
         Ok(Self {
             device,
             pipelines,
-            meshes: MeshPipelines::default(),
+            meshes,
             targets,
             memory: GeometryMemory::default(),
             textures,

@@ -7,4 +7,5 @@ mod degenerate;
 mod materials;
 mod memory;
 mod pictures;
+mod slivers;
 mod support;

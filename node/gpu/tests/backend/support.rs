@@ -7,6 +7,7 @@ use protocol::settings::{Cull, PictureSize};
 use rand::Rng;
 use rand::rngs::StdRng;
 use scene::backend::{Backend, BackendError, BoxQuery, Completion, Draw, Pass, Picture, View};
+use scene::occludee::Rules;
 
 pub(crate) const NEAR: f32 = 0.125;
 
@@ -87,15 +88,15 @@ pub(crate) fn vertex(grid: [u32; 3], normal: [f32; 3], color: u32) -> Vertex {
 
 /// A backend, or none where tests are to skip.
 pub(crate) fn backend(width: u32, height: u32) -> Option<WgpuBackend> {
-    backend_with(width, height, true)
+    backend_with(width, height, &Rules::default())
 }
 
-pub(crate) fn backend_with(width: u32, height: u32, inclusive: bool) -> Option<WgpuBackend> {
+pub(crate) fn backend_with(width: u32, height: u32, rules: &Rules) -> Option<WgpuBackend> {
     let wish = std::env::var("GPU_TESTS").unwrap_or_else(|_| "auto".into());
     if wish == "off" {
         return None;
     }
-    match WgpuBackend::new(PictureSize { width, height }, Adapter::Any, inclusive) {
+    match WgpuBackend::new(PictureSize { width, height }, Adapter::Any, rules) {
         Ok(backend) => Some(backend),
         Err(BackendError::NoAdapter(why)) if wish != "require" => {
             eprintln!("skipped: no graphics adapter: {why}");
