@@ -137,12 +137,11 @@ impl<'a> SharedLevels<'a> {
     }
 }
 
-/// Whether all that the table speaks of is in the working folder.
+/// Whether all that the table speaks of is in the working folder, as it was written.
 pub(crate) fn is_whole(work: &Work, table: &[u8]) -> bool {
     let Ok(levels) = decode(table) else { return false };
-    let ends = levels.iter().flatten().map(|l| l.span.offset.saturating_add(l.span.bytes));
-    let needed = ends.max().unwrap_or(0);
-    Records::open(&work.path(SHARED)).is_ok_and(|file| file.length() >= needed)
+    let spans = levels.iter().flatten().map(|level| level.span);
+    Records::open(&work.path(SHARED)).is_ok_and(|file| file.holds(spans))
 }
 
 fn decode(table: &[u8]) -> Result<Vec<Vec<SharedLevel>>, Torn> {
