@@ -298,11 +298,10 @@ impl Builder<'_> {
         let mut chain = Chain::new(last, *error, top.epsilon, self.setting(top.built.node));
         let mut made: Vec<CoarseMesh> = Vec::new();
         while made.len() < most {
-            let (before, finer) = made.last().map_or((last, *error), |m| (&m.mesh, m.error));
-            if finer >= until {
+            if made.last().is_some_and(|level| level.error >= until) {
                 break;
             }
-            match chain.next(before, finer, before.triangles.len() / 2) {
+            match chain.next(made.last(), None) {
                 Ok(level) => made.push(level),
                 Err(end) => {
                     self.tally.ended(end);
@@ -318,7 +317,7 @@ impl Builder<'_> {
 
     /// Adds a level that was made from the forms before it.
     fn push(&self, top: &mut Top, level: CoarseMesh) {
-        let CoarseMesh { mesh, error } = level;
+        let CoarseMesh { mesh, error, .. } = level;
         let packed = pack(&mesh, top.step, self.surfaces()).expect(HAS_AREA);
         let points = packed.positions().map(DVec3::from_array);
         top.built.bounds = top.built.bounds.union(Aabb::of(points));
@@ -433,9 +432,7 @@ impl Builder<'_> {
         let mut chain = Chain::new(&merged, error, top.epsilon, self.setting(top.built.node));
         let mut made: Vec<CoarseMesh> = Vec::new();
         while made.len() < self.options.hlod_levels {
-            let (before, finer) = made.last().map_or((&merged, error), |m| (&m.mesh, m.error));
-            let target = if made.is_empty() { target } else { before.triangles.len() / 2 };
-            match chain.next(before, finer, target) {
+            match chain.next(made.last(), made.is_empty().then_some(target)) {
                 Ok(level) => made.push(level),
                 Err(end) => {
                     self.tally.ended(end);

@@ -5,9 +5,10 @@
 //! reduces whatever an edge-collapse simplifier cannot, at a displacement known exactly.
 
 use crate::hash::FastHash;
+use crate::lists::Lists;
 use crate::mesh::{Mesh, MeshVertex, face_normal};
 use glam::{DVec3, Vec3};
-use std::collections::{HashMap, HashSet};
+use std::collections::HashMap;
 
 /// Steps a texture is divided into: wedges that differ by less are joined where positions are.
 const TEXTURE_STEPS: f32 = 32.0;
@@ -47,6 +48,8 @@ pub struct Welded {
     pub triangles: Vec<[u32; 3]>,
     /// Farthest any vertex was moved; at most epsilon.
     pub displacement: f64,
+    /// By wedge, the vertex of the mesh that its position is from.
+    sources: Vec<u32>,
     /// Source normals of vertex `v`: `normals[normal_start[v]..normal_start[v + 1]]`.
     normals: Vec<Vec3>,
     normal_start: Vec<u32>,
@@ -60,21 +63,24 @@ pub fn weld(mesh: &Mesh, how: Weld<'_>) -> Welded {
     assert!(how.epsilon >= 0.0 && how.epsilon.is_finite());
     let stays: Vec<bool> = mesh.vertices.iter().map(|vertex| vertex.seam < how.depth).collect();
     let (representative, displacement) = representatives(mesh, how.epsilon, &stays);
-    let mut ids: HashMap<(u32, u32, u64), u32, FastHash> = HashMap::default();
+    let mut wedges = Lists::new(mesh.vertices.len());
     let mut welded = Welded {
         vertices: Vec::new(),
         locked: Vec::new(),
         triangles: Vec::new(),
         displacement,
+        sources: Vec::new(),
         normals: Vec::new(),
         normal_start: Vec::new(),
     };
-    let mut sources = Vec::new();
     let vertex_of: Vec<u32> = std::iter::zip(&mesh.vertices, &representative)
         .map(|(vertex, &shared)| {
-            let color = u32::from_le_bytes(vertex.color);
-            let key = (shared, color, attribute_key(vertex, how.epsilon));
-            *ids.entry(key).or_insert_with(|| {
+            let attributes = attribute_key(vertex, how.epsilon);
+            let known = wedges.find(shared, |wedge| {
+                let other = &welded.vertices[wedge as usize];
+                other.color == vertex.color && attribute_key(other, how.epsilon) == attributes
+            });
+            known.unwrap_or_else(|| {
                 let at = &mesh.vertices[shared as usize];
                 welded.vertices.push(MeshVertex {
                     position: at.position,
@@ -82,21 +88,25 @@ pub fn weld(mesh: &Mesh, how: Weld<'_>) -> Welded {
                     ..*vertex
                 });
                 welded.locked.push(stays[shared as usize]);
-                sources.push(shared);
-                welded.vertices.len() as u32 - 1
+                welded.sources.push(shared);
+                wedges.put(shared)
             })
         })
         .collect();
-    let mut seen: HashSet<[u32; 3], FastHash> = HashSet::default();
+    let mut seen = Lists::new(welded.vertices.len());
+    let mut keys: Vec<[u32; 3]> = Vec::new();
     for triangle in &mesh.triangles {
         let corners = triangle.map(|index| vertex_of[index as usize]);
-        let [a, b, c] = corners.map(|vertex| sources[vertex as usize]);
+        let [a, b, c] = corners.map(|vertex| welded.sources[vertex as usize]);
         if a == b || b == c || c == a {
             continue;
         }
         let surface = mesh.vertices[triangle[0] as usize].surface;
         let one_sided = how.single_sided.get(usize::from(surface)).is_some_and(|&single| single);
-        if seen.insert(repeat_key(corners, one_sided)) {
+        let key = repeat_key(corners, one_sided);
+        if seen.find(key[0], |triangle| keys[triangle as usize] == key).is_none() {
+            seen.put(key[0]);
+            keys.push(key);
             welded.triangles.push(corners);
         }
     }
@@ -117,7 +127,7 @@ fn attribute_key(vertex: &MeshVertex, epsilon: f64) -> u64 {
     mixed << 16 | u64::from(vertex.surface)
 }
 
-/// Corners in an order that repeats share.
+/// Corners in an order that repeats share, the least first.
 fn repeat_key([a, b, c]: [u32; 3], one_sided: bool) -> [u32; 3] {
     if one_sided {
         return match a.min(b).min(c) {
@@ -179,21 +189,28 @@ impl Welded {
     /// The mesh of `triangles`, which name vertices of this one. Each corner gets the source normal
     /// of its vertex that is nearest to the triangle's own, whichever way that faces, so that smooth
     /// parts stay smooth; where none is near, the triangle's own. Triangles without area are left out.
-    pub fn with_triangles(&self, triangles: &[[u32; 3]]) -> Mesh {
+    /// With it, for each of its vertices, the vertex of the mesh welded that its position is from.
+    pub fn with_triangles(&self, triangles: &[[u32; 3]]) -> (Mesh, Vec<u32>) {
         let mut mesh = Mesh::default();
-        let mut ids: HashMap<(u32, [u32; 3]), u32, FastHash> = HashMap::default();
+        let mut sources = Vec::new();
+        let mut made = Lists::new(self.vertices.len());
         for triangle in triangles {
-            let corners = triangle.map(|vertex| self.vertices[vertex as usize].position);
+            let corners = triangle.map(|wedge| self.vertices[wedge as usize].position);
             let Some(face) = face_normal(corners) else { continue };
-            mesh.triangles.push(triangle.map(|vertex| {
-                let normal = self.nearest_normal(vertex as usize, face.as_vec3());
-                *ids.entry((vertex, normal.to_array().map(f32::to_bits))).or_insert_with(|| {
-                    mesh.vertices.push(MeshVertex { normal, ..self.vertices[vertex as usize] });
-                    mesh.vertices.len() as u32 - 1
+            mesh.triangles.push(triangle.map(|wedge| {
+                let normal = self.nearest_normal(wedge as usize, face.as_vec3());
+                let bits = normal.to_array().map(f32::to_bits);
+                let known = made.find(wedge, |vertex| {
+                    mesh.vertices[vertex as usize].normal.to_array().map(f32::to_bits) == bits
+                });
+                known.unwrap_or_else(|| {
+                    mesh.vertices.push(MeshVertex { normal, ..self.vertices[wedge as usize] });
+                    sources.push(self.sources[wedge as usize]);
+                    made.put(wedge)
                 })
             }));
         }
-        mesh
+        (mesh, sources)
     }
 
     fn nearest_normal(&self, vertex: usize, face: Vec3) -> Vec3 {
@@ -217,7 +234,7 @@ struct Places<'a> {
     /// A cell is twice as wide as the reach: whatever is within reach lies in the eight cells
     /// nearest. An epsilon too small for 64-bit cell numbers saturates them: slower, still right.
     cells_per_unit: f64,
-    newest: HashMap<[i64; 3], u32, FastHash>,
+    newest: HashMap<(i64, i64, i64), u32, FastHash>,
     older: Vec<u32>,
 }
 
@@ -228,7 +245,7 @@ impl<'a> Places<'a> {
             epsilon,
             origin: mesh.bounds().min,
             cells_per_unit: if epsilon > 0.0 { 0.5 / epsilon } else { 0.0 },
-            newest: HashMap::default(),
+            newest: HashMap::with_capacity_and_hasher(mesh.vertices.len(), FastHash::default()),
             older: vec![u32::MAX; mesh.vertices.len()],
         }
     }
@@ -251,10 +268,10 @@ impl<'a> Places<'a> {
         let (cell, sides) = self.cell(p);
         let mut best = (self.epsilon * self.epsilon, u32::MAX);
         for corner in 0..if self.epsilon > 0.0 { 8 } else { 1 } {
-            let key = std::array::from_fn(|k| {
+            let key: [i64; 3] = std::array::from_fn(|k| {
                 cell[k].wrapping_add(if corner >> k & 1 == 1 { sides[k] } else { 0 })
             });
-            let mut candidate = self.newest.get(&key).copied().unwrap_or(u32::MAX);
+            let mut candidate = self.newest.get(&key.into()).copied().unwrap_or(u32::MAX);
             while candidate != u32::MAX {
                 let d = self.mesh.vertices[candidate as usize].position.distance_squared(p);
                 if (d, candidate) <= best {
@@ -268,7 +285,7 @@ impl<'a> Places<'a> {
 
     fn put(&mut self, index: usize) {
         let (cell, _) = self.cell(self.mesh.vertices[index].position);
-        if let Some(before) = self.newest.insert(cell, index as u32) {
+        if let Some(before) = self.newest.insert(cell.into(), index as u32) {
             self.older[index] = before;
         }
     }
@@ -408,13 +425,16 @@ mod tests {
     fn corners_keep_smooth_normals_and_turned_faces_get_their_own() {
         let ball = sphere(16, 32);
         let welded = weld(&ball, Weld::within(0.0));
-        let smooth = welded.with_triangles(&welded.triangles);
+        let (smooth, sources) = welded.with_triangles(&welded.triangles);
+        for (vertex, source) in smooth.vertices.iter().zip(sources) {
+            assert_eq!(vertex.position, ball.vertices[source as usize].position);
+        }
         assert_eq!(smooth.triangles.len(), ball.triangles.len());
         assert!(smooth.vertices.iter().all(|v| v.normal.dot(v.position.as_vec3()) > 0.999));
         let mut wall = mesh_of(&[[0.0; 3], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]], &[[0, 1, 2]]);
         wall.vertices[0].normal = Vec3::Y;
         let welded = weld(&wall, Weld::within(0.0));
-        let shaded = welded.with_triangles(&welded.triangles);
+        let shaded = welded.with_triangles(&welded.triangles).0;
         assert!(shaded.vertices.iter().all(|v| v.normal.y.abs() > 0.999), "{shaded:?}");
     }
 }
