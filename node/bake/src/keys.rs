@@ -7,7 +7,7 @@ use std::fs::File;
 use std::path::{Path, PathBuf};
 
 /// Counts up whenever a bake of the same sources and settings would write other bytes.
-const BAKE_VERSION: u32 = 2;
+const BAKE_VERSION: u32 = 3;
 
 /// Digests of all a stage's inputs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
