@@ -17,6 +17,7 @@ use geometry::bounds::Aabb;
 use geometry::hausdorff::{Goal, Surface, directed};
 use geometry::hierarchy::Tree;
 use geometry::mesh::{Mesh, largest_stretch};
+use geometry::weld::Repeats;
 use glam::DVec3;
 use protocol::format::NONE;
 use protocol::format::vertex::{MAX_BLOB_VERTICES, POSITION_MAX};
@@ -79,7 +80,7 @@ pub(crate) struct Builder<'a> {
     pub(crate) piece_file: &'a Records,
     pub(crate) plan: &'a Plan,
     pub(crate) shared: &'a SharedLevels<'a>,
-    pub(crate) single_sided: &'a [bool],
+    pub(crate) repeats: &'a [Repeats],
     pub(crate) options: &'a Options,
     pub(crate) tally: Tally,
 }
@@ -97,7 +98,7 @@ impl Builder<'_> {
         Setting {
             options: self.options,
             depth: self.plan.depths[node as usize],
-            single_sided: self.single_sided,
+            repeats: self.repeats,
         }
     }
 

@@ -6,7 +6,7 @@ use geometry::hash::FastHash;
 use geometry::hausdorff::{Goal, Surface, directed, directed_but};
 use geometry::mesh::Mesh;
 use geometry::simplify::simplify;
-use geometry::weld::{Weld, weld};
+use geometry::weld::{Repeats, Weld, weld};
 use std::collections::{HashMap, HashSet};
 
 /// An error of this share of a mesh's diagonal is not seen before the mesh is wider than most
@@ -68,8 +68,8 @@ pub(crate) struct Setting<'a> {
     pub(crate) options: &'a Options,
     /// Depth of the hlod: vertices with a lesser seam stay.
     pub(crate) depth: u8,
-    /// By surface: seen from one side only.
-    pub(crate) single_sided: &'a [bool],
+    /// By surface: what becomes of repeated triangles.
+    pub(crate) repeats: &'a [Repeats],
 }
 
 /// Makes coarser and coarser forms of one mesh.
@@ -155,8 +155,8 @@ impl<'a> Chain<'a> {
         let mut best: Option<(Mesh, Vec<u32>)> = None;
         loop {
             let before = best.as_ref().map_or(mesh, |(mesh, _)| mesh);
-            let Setting { depth, single_sided, .. } = self.setting;
-            let welded = weld(before, Weld { epsilon: self.epsilon, depth, single_sided });
+            let Setting { depth, repeats, .. } = self.setting;
+            let welded = weld(before, Weld { epsilon: self.epsilon, depth, repeats });
             let limit = edge.max(self.epsilon * ERROR_PER_EPSILON);
             let mut simplified = simplify(&welded, target, limit);
             let unseen = self.diagonal * UNSEEN - welded.displacement;
@@ -164,11 +164,12 @@ impl<'a> Chain<'a> {
                 simplified = simplify(&welded, target / FAR_BELOW, unseen);
             }
             let held = welded.locked.iter().filter(|&&locked| locked).count();
-            let (coarse, mut sources) = welded.with_triangles(&simplified.triangles);
+            let strayed = welded.displacement + simplified.estimate;
+            let (coarse, mut sources) = welded.with_triangles(&simplified.triangles, strayed);
             if coarse.triangles.is_empty() {
                 break;
             }
-            estimate += welded.displacement + simplified.estimate;
+            estimate += strayed;
             let enough = ((target as f64 * NEAR_TARGET) as usize).max(2 * held);
             let done = coarse.triangles.len() <= enough;
             if let Some((_, first)) = &best {
@@ -322,7 +323,7 @@ mod tests {
     /// All levels of a mesh, each half of the one before.
     fn levels(mesh: &Mesh, error: f64) -> (Vec<CoarseMesh>, End) {
         let options = Options::default();
-        let setting = Setting { options: &options, depth: 0, single_sided: &[] };
+        let setting = Setting { options: &options, depth: 0, repeats: &[] };
         let mut chain = Chain::new(mesh, error, 0.0, setting);
         let mut levels: Vec<CoarseMesh> = Vec::new();
         loop {

@@ -334,13 +334,12 @@ impl Job<'_> {
     ) -> Result<Tally, BakeError> {
         self.progress.stage("levels", plan.tree.nodes.len() as u64);
         let piece_file = Pieces::open(work)?;
-        let single_sided = scene.single_sided();
+        let repeats = scene.repeats();
         let mut notes = notes.into_iter();
         let table = match notes.next() {
             Some(table) => table,
             None => {
-                let setting =
-                    Setting { options: self.options, depth: u8::MAX, single_sided: &single_sided };
+                let setting = Setting { options: self.options, depth: u8::MAX, repeats: &repeats };
                 self.write_shared(work, scene, pieces, &piece_file, setting, output)?
             }
         };
@@ -351,7 +350,7 @@ impl Job<'_> {
             piece_file: &piece_file,
             plan,
             shared: &shared,
-            single_sided: &single_sided,
+            repeats: &repeats,
             options: self.options,
             tally: Tally::default(),
         };

@@ -7,6 +7,7 @@ use crate::source::{
 };
 use crate::work::{Appender, Records, Span, Work, WorkError};
 use geometry::bounds::Aabb;
+use geometry::weld::Repeats;
 use glam::{DAffine3, DMat3, DVec3, Vec3};
 use std::io;
 use std::ops::Range;
@@ -278,9 +279,14 @@ impl Scene {
         from.read(self.textures[index].span)
     }
 
-    /// By surface: whether it is seen from one side only.
-    pub(crate) fn single_sided(&self) -> Vec<bool> {
-        self.surfaces.iter().map(|surface| !surface.double_sided).collect()
+    /// By surface: what becomes of repeated triangles.
+    pub(crate) fn repeats(&self) -> Vec<Repeats> {
+        let of = |surface: &Surface| match (surface.alpha, surface.double_sided) {
+            (Alpha::Blend, _) => Repeats::All,
+            (_, false) => Repeats::EachWay,
+            (_, true) => Repeats::One,
+        };
+        self.surfaces.iter().map(of).collect()
     }
 
     /// As bytes, for the working folder.
