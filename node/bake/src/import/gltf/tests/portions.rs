@@ -67,7 +67,7 @@ fn a_large_primitive_without_indices_arrives_whole() {
     let (mut scene, _) = long(2 * PART_TRIANGLES as u32);
     scene.json["meshes"][0]["primitives"][0].as_object_mut().unwrap().remove("indices");
     let mesh = &scene.import().unwrap().meshes[0];
-    assert_eq!(mesh.triangles() as usize, (4 * PART_TRIANGLES + 2) / 3);
+    assert_eq!(mesh.triangles() as usize, (4 * PART_TRIANGLES).div_ceil(3));
     for (i, triangle) in mesh.indices.iter().enumerate() {
         for (k, &index) in triangle.iter().enumerate() {
             let vertex = 3 * i + k;
