@@ -212,7 +212,7 @@ impl Welded {
     /// parts stay smooth. Where that is too far from it, the face has left a bend that the normal stood
     /// for, and gets its own. A chord of a curve as long as `h` that strays by `e` turns from either end
     /// by `4 e / h` radians. `strayed` is how far the triangles are from those before, at most; few are
-    /// as far, so a quarter of that turn is not too far, beside what the normal turned from its faces
+    /// as far, so half of that turn is not too far, beside what the normal turned from its faces
     /// before. Triangles without area are left out. With it, for each of its vertices, the vertex of the
     /// mesh welded that its position is from.
     pub fn with_triangles(&self, triangles: &[[u32; 3]], strayed: f64) -> (Mesh, Vec<u32>) {
@@ -222,7 +222,7 @@ impl Welded {
         for triangle in triangles {
             let corners = triangle.map(|wedge| self.vertices[wedge as usize].position);
             let Some(face) = face_normal(corners) else { continue };
-            let turn = Turn::of((strayed / height(corners)).min(MOST_TURN));
+            let turn = Turn::of((2.0 * strayed / height(corners)).min(MOST_TURN));
             mesh.triangles.push(triangle.map(|wedge| {
                 let normal = self.nearest_normal(wedge as usize, face.as_vec3(), turn);
                 let bits = normal.to_array().map(f32::to_bits);
