@@ -12,5 +12,6 @@ fn vertex_main(vertex: Vertex, instance: Instance) -> VertexOut {
 
 @fragment
 fn fragment_main(in: VertexOut) -> @location(0) u32 {
+    guard(in.clip);
     return in.item;
 }

@@ -23,6 +23,7 @@ fn vertex_main(vertex: Vertex, texturing: Texturing, instance: Instance) -> Vert
 
 @fragment
 fn fragment_main(in: VertexOut) -> @location(0) u32 {
+    guard(in.clip);
     let across = dpdx(in.tex_coord);
     let down = dpdy(in.tex_coord);
     if in.alpha * sampled(in.texture_index, in.tex_coord, across, down).a < in.cutoff {

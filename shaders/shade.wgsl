@@ -20,10 +20,12 @@ fn vertex_main(vertex: Vertex, instance: Instance) -> VertexOut {
 
 @fragment
 fn fragment_main(in: VertexOut) -> @location(0) vec4<f32> {
+    guard(in.clip);
     return vec4<f32>(in.color.rgb * light(in.normal, in.eye_relative), 1.0);
 }
 
 @fragment
 fn fragment_blend(in: VertexOut) -> @location(0) vec4<f32> {
+    guard(in.clip);
     return vec4<f32>(in.color.rgb * light(in.normal, in.eye_relative), in.color.a);
 }

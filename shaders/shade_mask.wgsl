@@ -2,6 +2,7 @@
 
 @fragment
 fn fragment_mask(in: VertexOut) -> @location(0) vec4<f32> {
+    guard(in.clip);
     let color = shaded(in);
     if color.a < in.cutoff {
         discard;

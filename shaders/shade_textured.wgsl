@@ -33,10 +33,12 @@ fn shaded(in: VertexOut) -> vec4<f32> {
 
 @fragment
 fn fragment_main(in: VertexOut) -> @location(0) vec4<f32> {
+    guard(in.clip);
     return vec4<f32>(shaded(in).rgb, 1.0);
 }
 
 @fragment
 fn fragment_blend(in: VertexOut) -> @location(0) vec4<f32> {
+    guard(in.clip);
     return shaded(in);
 }

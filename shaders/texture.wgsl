@@ -1,7 +1,8 @@
 // Common to the passes that read textures: a trilinear filter over pixels that are already linear.
 //
-// It is written out rather than left to samplers: each axis of each texture wraps in its own way, small
-// textures lie in the lower mips of a layer, and the filter is the processor's own to the last step.
+// It is written out rather than left to samplers: each axis of each texture wraps in its own way, textures
+// lie side by side on pages, and the filter is the processor's own to the last step. There is one array of
+// pages, for a choice between several would cost drivers without branches a read of each.
 
 // A vertex of a textured mesh goes on with this.
 struct Texturing {
@@ -10,13 +11,10 @@ struct Texturing {
     @location(10) cutoff: f32,
 }
 
-// Where a texture lies.
+// A texture.
 struct TextureRecord {
-    // Which of the arrays.
-    array: u32,
-    layer: u32,
-    // Mip of the layer that is the texture's largest.
-    first_level: u32,
+    // Index into `places` of its largest mip; the others follow.
+    first_place: u32,
     // Pixels along a side of the largest mip, a power of two.
     side: u32,
     // 0 repeat, 1 clamp, 2 mirror; across and down.
@@ -25,27 +23,15 @@ struct TextureRecord {
 }
 
 @group(1) @binding(0) var<storage, read> textures: array<TextureRecord>;
-@group(1) @binding(1) var array_16: texture_2d_array<f32>;
-@group(1) @binding(2) var array_32: texture_2d_array<f32>;
-@group(1) @binding(3) var array_64: texture_2d_array<f32>;
-@group(1) @binding(4) var array_128: texture_2d_array<f32>;
-@group(1) @binding(5) var array_256: texture_2d_array<f32>;
-@group(1) @binding(6) var array_512: texture_2d_array<f32>;
-@group(1) @binding(7) var array_1024: texture_2d_array<f32>;
+// Where mips lie: column and row on their page, 10 bits each, then the page.
+@group(1) @binding(1) var<storage, read> places: array<u32>;
+@group(1) @binding(2) var pages: texture_2d_array<f32>;
 
 const NO_TEXTURE: u32 = 0xffffffffu;
 
-fn pixel(record: TextureRecord, at: vec2<u32>, mip: u32) -> vec4<f32> {
-    let level = record.first_level + mip;
-    switch record.array {
-        case 0u: { return textureLoad(array_16, at, record.layer, level); }
-        case 1u: { return textureLoad(array_32, at, record.layer, level); }
-        case 2u: { return textureLoad(array_64, at, record.layer, level); }
-        case 3u: { return textureLoad(array_128, at, record.layer, level); }
-        case 4u: { return textureLoad(array_256, at, record.layer, level); }
-        case 5u: { return textureLoad(array_512, at, record.layer, level); }
-        default: { return textureLoad(array_1024, at, record.layer, level); }
-    }
+fn pixel(place: u32, at: vec2<u32>) -> vec4<f32> {
+    let corner = vec2<u32>(place & 0x3ffu, (place >> 10u) & 0x3ffu);
+    return textureLoad(pages, corner + at, place >> 20u, 0);
 }
 
 // A coordinate near 0 that shows the same: whole pairs of textures taken off, or the far outside cut.
@@ -67,6 +53,7 @@ fn wrapped(at: i32, side: i32, wrap: u32) -> u32 {
 
 fn bilinear(record: TextureRecord, mip: u32, tex_coord: vec2<f32>) -> vec4<f32> {
     let side = i32(record.side >> mip);
+    let at = places[record.first_place + mip];
     let place = vec2<f32>(
         reduced(tex_coord.x, record.wrap_across),
         reduced(tex_coord.y, record.wrap_down),
@@ -78,8 +65,8 @@ fn bilinear(record: TextureRecord, mip: u32, tex_coord: vec2<f32>) -> vec4<f32> 
     let x1 = wrapped(first.x + 1, side, record.wrap_across);
     let y0 = wrapped(first.y, side, record.wrap_down);
     let y1 = wrapped(first.y + 1, side, record.wrap_down);
-    let upper = mix(pixel(record, vec2(x0, y0), mip), pixel(record, vec2(x1, y0), mip), share.x);
-    let lower = mix(pixel(record, vec2(x0, y1), mip), pixel(record, vec2(x1, y1), mip), share.x);
+    let upper = mix(pixel(at, vec2(x0, y0)), pixel(at, vec2(x1, y0)), share.x);
+    let lower = mix(pixel(at, vec2(x0, y1)), pixel(at, vec2(x1, y1)), share.x);
     return mix(upper, lower, share.y);
 }
 

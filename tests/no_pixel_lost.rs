@@ -87,6 +87,7 @@ fn whole_walks_orbits_and_zooms_keep_every_pixel() {
             let [walk, orbit, zoom] = KINDS.map(|kind| scene.path(kind, 120));
             let runs = [
                 (walk, "320x200", "queries"),
+                (scene.path_by_seed("walk", 120, 2), "200x320", "boxes"),
                 (orbit, "333x101", "queries"),
                 (zoom, "320x200", "queries"),
                 (jumps(&scene, 30), "101x333", "boxes"),

@@ -40,7 +40,7 @@ pub(crate) enum Event {
     /// Somebody called.
     Connected(LinkId, Outbox),
     /// A message came.
-    Message(LinkId, Message),
+    Message(LinkId, Box<Message>),
     /// The link ended; in a broken one, why.
     Closed(LinkId, Option<LinkError>),
 }
@@ -114,7 +114,7 @@ impl Reader {
         let why = loop {
             match self.next().await {
                 Ok(Some(message)) => {
-                    if events.send(Event::Message(link, message)).await.is_err() {
+                    if events.send(Event::Message(link, Box::new(message))).await.is_err() {
                         return;
                     }
                 }
@@ -232,7 +232,7 @@ mod tests {
             let mut outbox = connected(&mut events).await;
             assert!(matches!(
                 events.recv().await,
-                Some(Event::Message(LinkId(0), Message::Finish))
+                Some(Event::Message(LinkId(0), message)) if *message == Message::Finish
             ));
             assert_eq!(outbox.send(&Message::Finish).await.unwrap(), bytes.len() as u64);
             let mut echoed = vec![0; bytes.len()];

@@ -297,7 +297,7 @@ impl Conductor {
                 self.links.insert(link, outbox);
                 self.session.handle_connected(now, link);
             }
-            Event::Message(link, message) => self.session.handle_message(now, link, message),
+            Event::Message(link, message) => self.session.handle_message(now, link, *message),
             Event::Closed(link, why) => {
                 if let Some(why) = why {
                     tracing::warn!("link {} is lost: {why}", link.0);

@@ -4,6 +4,7 @@ use gpu::{Adapter, WgpuBackend};
 use protocol::settings::{BackendChoice, PictureSize};
 use scene::backend::cpu::CpuBackend;
 use scene::backend::{Backend, BackendError};
+use scene::occludee::Rules;
 
 /// No renderer of the kind asked for.
 #[derive(Debug, Clone, thiserror::Error)]
@@ -20,7 +21,7 @@ pub fn choose_backend(
     size: PictureSize,
     budget_bytes: u64,
 ) -> Result<Box<dyn Backend>, ChooseError> {
-    let on = |adapter| match WgpuBackend::new(size, adapter, true, budget_bytes) {
+    let on = |adapter| match WgpuBackend::new(size, adapter, &Rules::default(), budget_bytes) {
         Ok(backend) => Ok(Box::new(backend) as Box<dyn Backend>),
         Err(error) => Err(error),
     };

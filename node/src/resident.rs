@@ -204,7 +204,7 @@ impl Loader {
     /// Orders as much of what is missing as buffers hold, and waits for what comes first.
     fn next_arrival(&mut self, runs: &mut Runs<'_>) -> Result<Arrival, RoleError> {
         let bytes = |blob: BlobId| self.skeleton.blob(blob).bytes;
-        let orders = runs.to_order(self.budget.host, bytes, |blob| self.residency.holds(blob));
+        let orders = runs.next_orders(self.budget.host, bytes, |blob| self.residency.holds(blob));
         if !orders.is_empty() {
             self.io.fetch(orders);
         }

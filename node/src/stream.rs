@@ -92,7 +92,7 @@ impl<'a> Runs<'a> {
 
     /// Missing blobs to order now, in the order of need: as many as `room` bytes hold together with
     /// those on their way, and one at least where none is.
-    pub(crate) fn to_order(
+    pub(crate) fn next_orders(
         &mut self,
         room: u64,
         bytes: impl Fn(BlobId) -> u64,
@@ -168,7 +168,7 @@ mod tests {
         let none = Draws::default();
         let mut runs = Runs::new(&none);
         assert_eq!((runs.len(), runs.ready(|_| false)), (0, 0..0));
-        assert!(runs.to_order(9, |_| 1, |_| false).is_empty());
+        assert!(runs.next_orders(9, |_| 1, |_| false).is_empty());
         assert!(!runs.arrived(BlobId(3)) && runs.victim(BlobId(3), |_| true).is_none());
     }
 
@@ -191,13 +191,13 @@ mod tests {
         let mut runs = Runs::new(&list);
         let ids = |blobs: Vec<BlobId>| blobs.iter().map(|blob| blob.0).collect::<Vec<_>>();
         let holds = |blob| blob == BlobId(1);
-        assert_eq!(ids(runs.to_order(20, |_| 10, holds)), [3, 4]);
-        assert!(runs.to_order(20, |_| 10, holds).is_empty());
+        assert_eq!(ids(runs.next_orders(20, |_| 10, holds)), [3, 4]);
+        assert!(runs.next_orders(20, |_| 10, holds).is_empty());
         assert!(runs.arrived(BlobId(3)) && !runs.arrived(BlobId(9)));
-        assert_eq!(ids(runs.to_order(20, |_| 10, |blob| blob.0 < 4 && blob.0 != 2)), [2]);
+        assert_eq!(ids(runs.next_orders(20, |_| 10, |blob| blob.0 < 4 && blob.0 != 2)), [2]);
         // One at least, however large.
         let mut runs = Runs::new(&list);
-        assert_eq!(ids(runs.to_order(5, |_| 10, holds)), [3]);
+        assert_eq!(ids(runs.next_orders(5, |_| 10, holds)), [3]);
     }
 
     #[test]
@@ -237,7 +237,7 @@ mod tests {
                 }
                 steps += 1;
                 assert!(steps < 1000, "no way forward with room for {room}");
-                for blob in runs.to_order(3, |_| 1, |blob| held.contains(&blob)) {
+                for blob in runs.next_orders(3, |_| 1, |blob| held.contains(&blob)) {
                     assert!(runs.arrived(blob));
                     while held.len() >= room {
                         match runs.victim(blob, |blob| held.contains(&blob)) {

@@ -11,7 +11,16 @@ macro_rules! source {
     };
 }
 
-/// Occluders: entry point `vertex_main`, depth alone.
+/// A source that draws meshes, as a driver takes it. `guards`: the driver may make undefined depth, and its
+/// fragments are dropped.
+pub fn for_meshes(source: &str, guards: bool) -> String {
+    let guard =
+        if guards { include_str!("../guard.wgsl") } else { include_str!("../no_guard.wgsl") };
+    format!("{guard}\n{source}")
+}
+
+/// Occluders, depth alone: entry points `vertex_main`, and `fragment_guard` for drivers to be guarded.
+/// This one and the five that follow are for [`for_meshes`].
 pub const DEPTH: &str = source!("frame.wgsl", "mesh.wgsl", "depth.wgsl");
 /// The picture of plain meshes: entry points `vertex_main`, `fragment_main`, `fragment_blend`.
 pub const SHADE: &str = source!("frame.wgsl", "mesh.wgsl", "light.wgsl", "shade.wgsl");

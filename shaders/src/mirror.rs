@@ -118,16 +118,13 @@ impl Texturing {
         fields!(Texturing { tex_coord: Float32x2, texture_index: Uint32, cutoff: Float32 });
 }
 
-/// Where a texture lies.
+/// A texture.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Pod, Zeroable)]
 #[repr(C)]
 pub struct TextureRecord {
-    /// Which of the arrays.
-    pub array: u32,
-    /// Its layer there.
-    pub layer: u32,
-    /// Mip of the layer that is the texture's largest.
-    pub first_level: u32,
+    /// Index of its largest mip's place; the others follow. A place is a column and a row on a page, 10
+    /// bits each, then the page.
+    pub first_place: u32,
     /// Pixels along a side of the largest mip.
     pub side: u32,
     /// 0 repeat, 1 clamp, 2 mirror.
@@ -139,9 +136,7 @@ pub struct TextureRecord {
 impl TextureRecord {
     /// Layout.
     pub const FIELDS: &[Field] = fields!(TextureRecord {
-        array: Uint32,
-        layer: Uint32,
-        first_level: Uint32,
+        first_place: Uint32,
         side: Uint32,
         wrap_across: Uint32,
         wrap_down: Uint32,

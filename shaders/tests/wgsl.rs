@@ -7,7 +7,7 @@ use shaders::mirror::{
 };
 
 const SOURCES: [(&str, &str, &[&str]); 8] = [
-    ("DEPTH", shaders::DEPTH, &["vertex_main"]),
+    ("DEPTH", shaders::DEPTH, &["vertex_main", "fragment_guard"]),
     ("SHADE", shaders::SHADE, &["vertex_main", "fragment_main", "fragment_blend"]),
     (
         "SHADE_TEXTURED",
@@ -25,7 +25,17 @@ const SOURCES: [(&str, &str, &[&str]); 8] = [
     ("BOX_MARK", shaders::BOX_MARK, &["mark_vertex", "mark_fragment"]),
 ];
 
+/// As drivers take it; sources without `guard` as they are.
 fn parse(name: &str, source: &str) -> Module {
+    let guarded = [true, false].map(|guards| match source.contains("guard(") {
+        true => shaders::for_meshes(source, guards),
+        false => source.to_owned(),
+    });
+    let [module, _] = guarded.map(|source| valid(name, &source));
+    module
+}
+
+fn valid(name: &str, source: &str) -> Module {
     let module =
         naga::front::wgsl::parse_str(source).unwrap_or_else(|e| panic!("{name}: {e}\n{source}"));
     Validator::new(ValidationFlags::all(), Capabilities::all())
@@ -154,7 +164,9 @@ fn every_position_is_invariant() {
     for (name, source, _) in SOURCES {
         assert_eq!(
             source.matches("@builtin(position)").count(),
-            source.matches("@invariant @builtin(position)").count(),
+            // A fragment's own is as it comes.
+            source.matches("@invariant @builtin(position)").count()
+                + source.matches("(@builtin(position)").count(),
             "{name}"
         );
     }
@@ -164,6 +176,16 @@ fn every_position_is_invariant() {
 fn only_what_has_holes_discards() {
     for (name, source, _) in SOURCES {
         assert_eq!(source.contains("discard"), name.ends_with("_MASK"), "{name}");
+    }
+}
+
+#[test]
+fn the_guard_stands_in_every_fragment_of_a_mesh_and_discards_only_where_asked_for() {
+    for (name, source, _) in SOURCES.into_iter().filter(|(name, ..)| !name.starts_with("BOX")) {
+        let count = |what| source.matches(what).count();
+        assert_eq!(count("@fragment"), count("    guard("), "{name}");
+        let discards = |guards| shaders::for_meshes(source, guards).matches("discard").count();
+        assert_eq!(discards(true), discards(false) + 1, "{name}");
     }
 }
 

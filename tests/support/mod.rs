@@ -97,7 +97,12 @@ impl Scene {
 
     /// A generated path.
     pub(crate) fn path(&self, kind: &str, frames: u32) -> PathBuf {
-        let csv = self.file(&format!("{kind}-{frames}.csv"));
+        self.path_by_seed(kind, frames, 1)
+    }
+
+    /// One by another seed.
+    pub(crate) fn path_by_seed(&self, kind: &str, frames: u32, seed: u32) -> PathBuf {
+        let csv = self.file(&format!("{kind}-{frames}-{seed}.csv"));
         succeed(&[
             "path",
             text(&self.occ),
@@ -107,6 +112,8 @@ impl Scene {
             kind,
             "--frames",
             &frames.to_string(),
+            "--seed",
+            &seed.to_string(),
         ]);
         csv
     }

@@ -17,6 +17,7 @@ use geometry::bounds::Aabb;
 use geometry::hausdorff::{Goal, Surface, directed};
 use geometry::hierarchy::Tree;
 use geometry::mesh::{Mesh, largest_stretch};
+use geometry::weld::Repeats;
 use glam::DVec3;
 use protocol::format::NONE;
 use protocol::format::vertex::{MAX_BLOB_VERTICES, POSITION_MAX};
@@ -79,7 +80,7 @@ pub(crate) struct Builder<'a> {
     pub(crate) piece_file: &'a Records,
     pub(crate) plan: &'a Plan,
     pub(crate) shared: &'a SharedLevels<'a>,
-    pub(crate) single_sided: &'a [bool],
+    pub(crate) repeats: &'a [Repeats],
     pub(crate) options: &'a Options,
     pub(crate) tally: Tally,
 }
@@ -97,7 +98,7 @@ impl Builder<'_> {
         Setting {
             options: self.options,
             depth: self.plan.depths[node as usize],
-            single_sided: self.single_sided,
+            repeats: self.repeats,
         }
     }
 
@@ -298,11 +299,10 @@ impl Builder<'_> {
         let mut chain = Chain::new(last, *error, top.epsilon, self.setting(top.built.node));
         let mut made: Vec<CoarseMesh> = Vec::new();
         while made.len() < most {
-            let (before, finer) = made.last().map_or((last, *error), |m| (&m.mesh, m.error));
-            if finer >= until {
+            if made.last().is_some_and(|level| level.error >= until) {
                 break;
             }
-            match chain.next(before, finer, before.triangles.len() / 2) {
+            match chain.next(made.last(), None) {
                 Ok(level) => made.push(level),
                 Err(end) => {
                     self.tally.ended(end);
@@ -318,7 +318,7 @@ impl Builder<'_> {
 
     /// Adds a level that was made from the forms before it.
     fn push(&self, top: &mut Top, level: CoarseMesh) {
-        let CoarseMesh { mesh, error } = level;
+        let CoarseMesh { mesh, error, .. } = level;
         let packed = pack(&mesh, top.step, self.surfaces()).expect(HAS_AREA);
         let points = packed.positions().map(DVec3::from_array);
         top.built.bounds = top.built.bounds.union(Aabb::of(points));
@@ -433,9 +433,7 @@ impl Builder<'_> {
         let mut chain = Chain::new(&merged, error, top.epsilon, self.setting(top.built.node));
         let mut made: Vec<CoarseMesh> = Vec::new();
         while made.len() < self.options.hlod_levels {
-            let (before, finer) = made.last().map_or((&merged, error), |m| (&m.mesh, m.error));
-            let target = if made.is_empty() { target } else { before.triangles.len() / 2 };
-            match chain.next(before, finer, target) {
+            match chain.next(made.last(), made.is_empty().then_some(target)) {
                 Ok(level) => made.push(level),
                 Err(end) => {
                     self.tally.ended(end);

@@ -4,10 +4,15 @@ use crate::import::{ImportError, references};
 use crate::options::Options;
 use crate::work::Key;
 use std::fs::File;
+use std::io::Read;
 use std::path::{Path, PathBuf};
 
-/// Counts up whenever a bake of the same sources and settings would write other bytes.
-const BAKE_VERSION: u32 = 2;
+/// Counts up whenever a bake of the same sources and settings would write other bytes, or files of the
+/// working folder would be read in another way.
+const BAKE_VERSION: u32 = 4;
+
+/// Bytes of a file that are read at once.
+const DIGEST_BYTES: usize = 4 << 20;
 
 /// Digests of all a stage's inputs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -80,10 +85,17 @@ fn digest_of(before: &Key, settings: &[f64]) -> Key {
     hasher.finalize().into()
 }
 
+/// Of a file's content, by all threads: its blocks are large enough for that.
 fn digest(path: &Path) -> std::io::Result<Key> {
     let mut hasher = blake3::Hasher::new();
-    hasher.update_reader(File::open(path)?)?;
-    Ok(hasher.finalize().into())
+    let mut file = File::open(path)?;
+    let mut block = vec![0; DIGEST_BYTES];
+    loop {
+        match file.read(&mut block)? {
+            0 => return Ok(hasher.finalize().into()),
+            read => hasher.update_rayon(&block[..read]),
+        };
+    }
 }
 
 #[cfg(test)]

@@ -6,8 +6,8 @@ use geometry::hash::FastHash;
 use geometry::hausdorff::{Goal, Surface, directed, directed_but};
 use geometry::mesh::Mesh;
 use geometry::simplify::simplify;
-use geometry::weld::{Weld, weld};
-use std::collections::HashSet;
+use geometry::weld::{Repeats, Weld, weld};
+use std::collections::{HashMap, HashSet};
 
 /// An error of this share of a mesh's diagonal is not seen before the mesh is wider than most
 /// screens: up to there a level goes on below its target.
@@ -47,6 +47,8 @@ pub(crate) struct CoarseMesh {
     pub(crate) mesh: Mesh,
     /// Bound on the two-sided Hausdorff distance to the original surface, mesh units.
     pub(crate) error: f64,
+    /// For each vertex, the one of the chain's base in the same place.
+    sources: Vec<u32>,
 }
 
 /// Why a chain of levels ended.
@@ -66,8 +68,8 @@ pub(crate) struct Setting<'a> {
     pub(crate) options: &'a Options,
     /// Depth of the hlod: vertices with a lesser seam stay.
     pub(crate) depth: u8,
-    /// By surface: seen from one side only.
-    pub(crate) single_sided: &'a [bool],
+    /// By surface: what becomes of repeated triangles.
+    pub(crate) repeats: &'a [Repeats],
 }
 
 /// Makes coarser and coarser forms of one mesh.
@@ -77,6 +79,8 @@ pub(crate) struct Chain<'a> {
     /// How far `base` strays from the original.
     base_error: f64,
     base_surface: Surface,
+    /// By vertex of the base, the first one in the same place.
+    places: Vec<u32>,
     is_textured: bool,
     diagonal: f64,
     /// Distance welded within; 0: only what is in the same place. A coarser level never needs less.
@@ -88,9 +92,10 @@ impl<'a> Chain<'a> {
     /// have been welded within `epsilon` before.
     pub(crate) fn new(base: &'a Mesh, base_error: f64, epsilon: f64, setting: Setting<'a>) -> Self {
         let diagonal = base.bounds().diagonal();
-        let base_surface = Surface::new(base);
+        let places = places(base);
+        let base_surface = Surface::with_places(base, &places);
         let is_textured = base.vertices.iter().any(|vertex| vertex.tex_coord != [0.0; 2]);
-        Self { setting, base, base_error, base_surface, is_textured, diagonal, epsilon }
+        Self { setting, base, base_error, base_surface, places, is_textured, diagonal, epsilon }
     }
 
     /// Distance that parts have been welded within so far.
@@ -98,31 +103,36 @@ impl<'a> Chain<'a> {
         self.epsilon
     }
 
-    /// The next level after `before`, whose error is `finer`, with about `target` triangles.
+    /// The next level after `last` of this chain, or the first after the base, with about `target`
+    /// triangles, or half as many as there are.
     pub(crate) fn next(
         &mut self,
-        before: &Mesh,
-        finer: f64,
-        target: usize,
+        last: Option<&CoarseMesh>,
+        target: Option<usize>,
     ) -> Result<CoarseMesh, End> {
+        let (before, finer) = last.map_or((self.base, self.base_error), |l| (&l.mesh, l.error));
+        let target = target.unwrap_or(before.triangles.len() / 2);
         if before.triangles.len() <= self.setting.options.level_least_triangles {
             return Err(End::Small);
         }
         let most = (before.triangles.len() as f64 * PAYING_SHARE) as usize;
         let most = most.min(MAX_MESH_TRIANGLES);
-        let (mesh, own) = loop {
-            let (mut mesh, estimate) = self.reduce(before, target);
+        let (mesh, sources, own) = loop {
+            let (mut mesh, mut sources, estimate) = self.reduce(before, target);
+            if let Some(last) = last {
+                sources.iter_mut().for_each(|source| *source = last.sources[*source as usize]);
+            }
             if mesh.triangles.is_empty() || mesh.triangles.len() > most {
                 return Err(End::Unpaying);
             }
-            let mut own = self.measured(&mut mesh, estimate);
+            let mut own = self.measured(&mut mesh, &mut sources, estimate);
             if self.is_textured {
                 // A texture that slides is seen as well as a surface that strays, and only the
                 // simplifier knows by how much.
                 own = own.max(SLIDING * estimate);
             }
             if mesh.triangles.len() <= most {
-                break (mesh, own);
+                break (mesh, sources, own);
             }
             // Too much had to be put back: parts are to be joined, not dropped.
             if !self.weld_farther(mean_edge(before)) {
@@ -133,19 +143,20 @@ impl<'a> Chain<'a> {
         if own > self.diagonal * MOST_ERROR || !error.is_finite() {
             return Err(End::Wrong);
         }
-        Ok(CoarseMesh { mesh, error })
+        Ok(CoarseMesh { mesh, error, sources })
     }
 
-    /// A mesh of about `target` triangles, or as near as the last epsilon gets, and what its deviation
-    /// from `mesh` is thought to be.
-    fn reduce(&mut self, mesh: &Mesh, target: usize) -> (Mesh, f64) {
+    /// A mesh of about `target` triangles, or as near as the last epsilon gets; for each of its
+    /// vertices the one of `mesh` in the same place; and what its deviation from `mesh` is thought to
+    /// be.
+    fn reduce(&mut self, mesh: &Mesh, target: usize) -> (Mesh, Vec<u32>, f64) {
         let edge = mean_edge(mesh);
         let mut estimate = 0.0;
-        let mut best: Option<Mesh> = None;
+        let mut best: Option<(Mesh, Vec<u32>)> = None;
         loop {
-            let before = best.as_ref().unwrap_or(mesh);
-            let Setting { depth, single_sided, .. } = self.setting;
-            let welded = weld(before, Weld { epsilon: self.epsilon, depth, single_sided });
+            let before = best.as_ref().map_or(mesh, |(mesh, _)| mesh);
+            let Setting { depth, repeats, .. } = self.setting;
+            let welded = weld(before, Weld { epsilon: self.epsilon, depth, repeats });
             let limit = edge.max(self.epsilon * ERROR_PER_EPSILON);
             let mut simplified = simplify(&welded, target, limit);
             let unseen = self.diagonal * UNSEEN - welded.displacement;
@@ -153,19 +164,24 @@ impl<'a> Chain<'a> {
                 simplified = simplify(&welded, target / FAR_BELOW, unseen);
             }
             let held = welded.locked.iter().filter(|&&locked| locked).count();
-            let coarse = welded.with_triangles(&simplified.triangles);
+            let strayed = welded.displacement + simplified.estimate;
+            let (coarse, mut sources) = welded.with_triangles(&simplified.triangles, strayed);
             if coarse.triangles.is_empty() {
                 break;
             }
-            estimate += welded.displacement + simplified.estimate;
+            estimate += strayed;
             let enough = ((target as f64 * NEAR_TARGET) as usize).max(2 * held);
             let done = coarse.triangles.len() <= enough;
-            best = Some(coarse);
+            if let Some((_, first)) = &best {
+                sources.iter_mut().for_each(|source| *source = first[*source as usize]);
+            }
+            best = Some((coarse, sources));
             if done || !self.weld_farther(edge) {
                 break;
             }
         }
-        (best.unwrap_or_default(), estimate)
+        let (mesh, sources) = best.unwrap_or_default();
+        (mesh, sources, estimate)
     }
 
     /// Lets parts farther apart be joined, if they may be.
@@ -177,40 +193,64 @@ impl<'a> Chain<'a> {
     }
 
     /// A bound on the deviation of `mesh` from the base, both ways, after parts of the base that left
-    /// nothing near them have been put back into it.
-    fn measured(&self, mesh: &mut Mesh, estimate: f64) -> f64 {
+    /// nothing near them have been put back into it. `sources` names, for each vertex of `mesh`, the one
+    /// of the base in the same place.
+    fn measured(&self, mesh: &mut Mesh, sources: &mut Vec<u32>, estimate: f64) -> f64 {
         let goal = Goal {
             enough: estimate.max(self.base_error) * ENOUGH,
             slack: SLACK,
             budget: CUTS * (mesh.triangles.len() + self.base.triangles.len()),
         };
         let tolerable = VANISHED * estimate.max(self.base_error);
-        let (near, far) = directed_but(self.base, &Surface::new(mesh), &goal, tolerable);
+        let places_of = |sources: &[u32]| -> Vec<u32> {
+            sources.iter().map(|&source| self.places[source as usize]).collect()
+        };
+        let surface = Surface::with_places(mesh, &places_of(sources));
+        let (near, far) = directed_but(self.base, &surface, &self.places, &goal, tolerable);
         let mut forth = near.upper;
         if !far.is_empty() {
             // Only what was far can have come nearer.
-            let far = part(self.base, &far);
-            restore(mesh, &far, tolerable);
+            let (far, far_sources) = part(self.base, &far);
+            let restored = restore(mesh, &far, tolerable);
+            sources.extend(restored.iter().map(|&vertex| far_sources[vertex as usize]));
             forth = forth.max(directed(&far, &Surface::new(mesh), &goal).upper);
         }
         let goal = Goal { enough: goal.enough.max(forth), ..goal };
-        let back = directed(mesh, &self.base_surface, &goal).upper;
-        forth.max(back)
+        let (back, _) =
+            directed_but(mesh, &self.base_surface, &places_of(sources), &goal, f64::INFINITY);
+        forth.max(back.upper)
     }
 }
 
-/// Some triangles of a mesh, with vertices of their own.
-fn part(mesh: &Mesh, triangles: &[u32]) -> Mesh {
-    let corners = triangles.iter().flat_map(|&t| mesh.triangles[t as usize]);
-    Mesh {
-        vertices: corners.map(|index| mesh.vertices[index as usize]).collect(),
+/// For each vertex of a mesh the first one in the same place.
+fn places(mesh: &Mesh) -> Vec<u32> {
+    let mut first: HashMap<(u64, u64, u64), u32, FastHash> =
+        HashMap::with_capacity_and_hasher(mesh.vertices.len(), FastHash::default());
+    let numbered = mesh.vertices.iter().zip(0..);
+    numbered
+        .map(|(vertex, number)| {
+            // Adding zero makes -0 and 0 the same key.
+            let [x, y, z] = vertex.position.to_array().map(|c| (c + 0.0).to_bits());
+            *first.entry((x, y, z)).or_insert(number)
+        })
+        .collect()
+}
+
+/// Some triangles of a mesh, with vertices of their own; and which of the mesh's those are.
+fn part(mesh: &Mesh, triangles: &[u32]) -> (Mesh, Vec<u32>) {
+    let sources: Vec<u32> = triangles.iter().flat_map(|&t| mesh.triangles[t as usize]).collect();
+    let part = Mesh {
+        vertices: sources.iter().map(|&index| mesh.vertices[index as usize]).collect(),
         triangles: (0..triangles.len() as u32).map(|t| [3 * t, 3 * t + 1, 3 * t + 2]).collect(),
-    }
+    };
+    (part, sources)
 }
 
 /// Puts triangles of `far` into `mesh` so that hardly anything of it is farther away than `reach`:
-/// all that are large, and of the small ones the largest of each cell half as wide as that.
-fn restore(mesh: &mut Mesh, far: &Mesh, reach: f64) {
+/// all that are large, and of the small ones the largest of each cell half as wide as that. Returns the
+/// vertices of `far` that were put in, in their order.
+fn restore(mesh: &mut Mesh, far: &Mesh, reach: f64) -> Vec<u32> {
+    let mut restored = Vec::new();
     let longest2 = |t: &[u32; 3]| {
         let [a, b, c] = far.corners(*t);
         a.distance_squared(b).max(b.distance_squared(c)).max(c.distance_squared(a))
@@ -226,8 +266,10 @@ fn restore(mesh: &mut Mesh, far: &Mesh, reach: f64) {
             let first = mesh.vertices.len() as u32;
             mesh.vertices.extend(corners.map(|index| far.vertices[index as usize]));
             mesh.triangles.push([first, first + 1, first + 2]);
+            restored.extend(corners);
         }
     }
+    restored
 }
 
 /// About the length of an edge: the side of a square as large as two triangles of mean area.
@@ -281,13 +323,11 @@ mod tests {
     /// All levels of a mesh, each half of the one before.
     fn levels(mesh: &Mesh, error: f64) -> (Vec<CoarseMesh>, End) {
         let options = Options::default();
-        let setting = Setting { options: &options, depth: 0, single_sided: &[] };
+        let setting = Setting { options: &options, depth: 0, repeats: &[] };
         let mut chain = Chain::new(mesh, error, 0.0, setting);
         let mut levels: Vec<CoarseMesh> = Vec::new();
         loop {
-            let (before, finer) =
-                levels.last().map_or((mesh, error), |level| (&level.mesh, level.error));
-            match chain.next(before, finer, before.triangles.len() / 2) {
+            match chain.next(levels.last(), None) {
                 Ok(level) => levels.push(level),
                 Err(end) => return (levels, end),
             }

@@ -2,6 +2,7 @@
 
 mod built;
 mod bytes;
+mod giant;
 mod hlod;
 pub mod import;
 mod keys;
@@ -13,7 +14,10 @@ mod pieces;
 pub mod pipeline;
 mod plan;
 pub mod progress;
+mod scratch;
+mod seams;
 mod shared;
+mod slice;
 pub mod source;
 mod spool;
 pub mod summary;

@@ -180,18 +180,22 @@ pub(crate) fn pack(mesh: &Mesh, step: f64, surfaces: &[Surface]) -> Option<Packe
         indices: Vec::with_capacity(3 * used.len()),
         classes,
     };
-    let mut ids: HashMap<([u32; 4], [u32; 4]), u16, FastHash> = HashMap::default();
+    let mut ids: HashMap<[u64; 4], u16, FastHash> =
+        HashMap::with_capacity_and_hasher(mesh.vertices.len(), FastHash::default());
     let mut place: Vec<Option<u16>> = vec![None; mesh.vertices.len()];
     for index in used.into_iter().flatten() {
         let id = *place[index as usize].get_or_insert_with(|| {
             let source = &mesh.vertices[index as usize];
             let plain = vertex(source, origin, step);
             let textured = is_textured.then(|| textured(source, plain, surfaces));
-            let rest = textured.map_or([0; 4], |t| {
+            let [u, v, texture, cutoff] = textured.map_or([0; 4], |t| {
                 [t.tex_coord[0].to_bits(), t.tex_coord[1].to_bits(), t.texture, t.cutoff.to_bits()]
             });
             let [x, y] = plain.position;
-            *ids.entry(([x, y, plain.normal, plain.color], rest)).or_insert_with(|| {
+            let pair = |a: u32, b: u32| u64::from(a) << 32 | u64::from(b);
+            let key =
+                [pair(x, y), pair(plain.normal, plain.color), pair(u, v), pair(texture, cutoff)];
+            *ids.entry(key).or_insert_with(|| {
                 match textured {
                     Some(vertex) => packed.textured.push(vertex),
                     None => packed.plain.push(plain),

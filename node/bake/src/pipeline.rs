@@ -27,9 +27,7 @@ use std::time::Instant;
 /// file is the same for any value.
 const MOST_BLOCK_TRIANGLES: u64 = 1 << 18;
 /// Bytes that a subtree being built takes, by source triangle.
-const BLOCK_BYTES: u64 = 512;
-/// Bytes that a mesh being divided takes, by byte of its own.
-const SLICING_FACTOR: u64 = 3;
+const BLOCK_BYTES: u64 = 1024;
 /// Shared pieces whose levels are made before they are written.
 const BATCH_PIECES: usize = 256;
 
@@ -51,18 +49,6 @@ pub enum BakeError {
         inputs: String,
         /// What was left out, if anything.
         because: String,
-    },
-    /// One mesh needs more than all the memory allowed.
-    #[error(
-        "mesh \"{mesh}\" needs {needed} bytes of memory and --memory allows {allowed}; raise it, or split the mesh"
-    )]
-    Memory {
-        /// Its name.
-        mesh: String,
-        /// Bytes it takes to divide it.
-        needed: u64,
-        /// Bytes allowed.
-        allowed: u64,
     },
     /// The working folder cannot be used.
     #[error(transparent)]
@@ -89,7 +75,7 @@ impl BakeError {
                 ImportErrorKind::Io => 74,
                 ImportErrorKind::BadData => 65,
             },
-            Self::Options(_) | Self::Memory { .. } => 78,
+            Self::Options(_) => 78,
             Self::Empty { .. } => 65,
             Self::Work(WorkError::Busy { .. }) => 75,
             Self::Work(WorkError::Io { .. }) => 74,
@@ -172,8 +158,7 @@ fn imported(
 ) -> Result<Scene, BakeError> {
     // Without textures nobody reads the meshes any more once there are pieces.
     let is_usable = |scene: &Scene| {
-        is_as_long(Scene::open(work), scene.spooled_bytes())
-            || scene.textures.is_empty() && kept_pieces(work, keys).is_some()
+        scene.is_whole(work) || scene.textures.is_empty() && kept_pieces(work, keys).is_some()
     };
     if let Some(scene) = loaded(work, "import", &keys.import, Scene::decode).filter(is_usable) {
         return Ok(scene);
@@ -187,8 +172,7 @@ fn imported(
 
 /// The pieces that are in the working folder.
 fn kept_pieces(work: &Work, keys: &Keys) -> Option<Pieces> {
-    loaded(work, "partition", &keys.pieces, Pieces::decode)
-        .filter(|pieces| is_as_long(Pieces::open(work), pieces.file_bytes()))
+    loaded(work, "partition", &keys.pieces, Pieces::decode).filter(|pieces| pieces.is_whole(work))
 }
 
 /// Reads all sources into the working folder.
@@ -200,7 +184,7 @@ fn import_all(
 ) -> Result<Scene, BakeError> {
     let mut spool = Spool::create(work)?;
     let mut whole: Option<Imported> = None;
-    let limits = ImportLimits { texture_side: options.texture_side };
+    let limits = ImportLimits { texture_side: options.texture_side, memory: options.memory };
     for input in inputs {
         let (meshes, textures) = spool.counts();
         spool.next_file(whole.as_ref().map_or(0, |whole: &Imported| whole.surfaces.len()));
@@ -235,11 +219,6 @@ fn loaded<T>(
     decode: impl Fn(&[u8]) -> Result<T, crate::bytes::Torn>,
 ) -> Option<T> {
     decode(&work.load(stage, key)?).ok()
-}
-
-/// Whether a file is there and has at least so many bytes.
-fn is_as_long(file: Result<Records, WorkError>, bytes: u64) -> bool {
-    file.is_ok_and(|file| file.length() >= bytes)
 }
 
 /// Wall-clock time by stage.
@@ -320,18 +299,11 @@ impl Job<'_> {
         let pieces = match kept_pieces(work, &self.keys) {
             Some(pieces) => pieces,
             None => {
-                let allowed = self.options.memory;
-                let needs = |bytes: u64| bytes.saturating_mul(SLICING_FACTOR);
-                if let Some(mesh) = scene.meshes.iter().find(|m| needs(m.bytes()) > allowed) {
-                    let (mesh, needed) = (mesh.name.clone(), needs(mesh.bytes()));
-                    return Err(BakeError::Memory { mesh, needed, allowed });
-                }
                 self.progress.stage("partition", scene.meshes.len() as u64);
-                let budget = allowed / SLICING_FACTOR;
                 let advance = || self.progress.advance(1);
                 // Its pieces are overwritten.
                 work.forget("partition");
-                let pieces = Pieces::make(work, scene, self.options, budget, advance)?;
+                let pieces = Pieces::make(work, scene, self.options, advance)?;
                 work.save("partition", &self.keys.pieces, &pieces.encode())?;
                 pieces
             }
@@ -362,13 +334,12 @@ impl Job<'_> {
     ) -> Result<Tally, BakeError> {
         self.progress.stage("levels", plan.tree.nodes.len() as u64);
         let piece_file = Pieces::open(work)?;
-        let single_sided = scene.single_sided();
+        let repeats = scene.repeats();
         let mut notes = notes.into_iter();
         let table = match notes.next() {
             Some(table) => table,
             None => {
-                let setting =
-                    Setting { options: self.options, depth: u8::MAX, single_sided: &single_sided };
+                let setting = Setting { options: self.options, depth: u8::MAX, repeats: &repeats };
                 self.write_shared(work, scene, pieces, &piece_file, setting, output)?
             }
         };
@@ -379,7 +350,7 @@ impl Job<'_> {
             piece_file: &piece_file,
             plan,
             shared: &shared,
-            single_sided: &single_sided,
+            repeats: &repeats,
             options: self.options,
             tally: Tally::default(),
         };

@@ -3,8 +3,10 @@
 //! boxes built top down.
 
 use crate::bytes::{Decoder, Encoder, Torn};
+use crate::giant::Giant;
 use crate::options::Options;
-use crate::pieces::{ALL_PIECES, PieceMesh, Slicer};
+use crate::pieces::{ALL_PIECES, PieceMesh};
+use crate::slice::Slicer;
 use crate::spool::Scene;
 use crate::work::{Appender, Records, Span, Work, WorkError};
 use geometry::bounds::Aabb;
@@ -19,6 +21,10 @@ use std::ops::Range;
 /// A cluster whose members' boxes have less than this share of its own box's surface is uneven.
 const LEAST_FILL: f64 = 0.5;
 const PIECES: &str = "pieces";
+/// Bytes that a mesh being divided takes, by byte of its own.
+const SLICING_FACTOR: u64 = 3;
+/// Bytes of small meshes that are divided at once: more keep no thread busier.
+const MOST_BATCH_BYTES: u64 = 32 << 20;
 /// Gap within which a cluster of one triangle may grow, as a share of the longest side a leaf may
 /// have; a cluster of more reaches less far in proportion (the k of Felzenszwalb and Huttenlocher).
 const CLUSTER_REACH: f64 = 32.0;
@@ -36,6 +42,8 @@ pub(crate) struct PieceInfo {
     pub(crate) step: f64,
     pub(crate) bounds: Aabb,
     span: Span,
+    /// Its seams, where they are not with it.
+    seams: Span,
 }
 
 /// All pieces of a scene, mesh after mesh.
@@ -48,15 +56,15 @@ pub(crate) struct Pieces {
 }
 
 impl Pieces {
-    /// Divides every mesh and writes the pieces. Meshes are read as many at a time as `budget` bytes
-    /// hold. `done` hears of each mesh.
+    /// Divides every mesh and writes the pieces. Meshes are read as many at a time as fit the memory,
+    /// and one that does not fit is never in it as a whole. `done` hears of each mesh.
     pub(crate) fn make(
         work: &Work,
         scene: &Scene,
         options: &Options,
-        budget: u64,
         done: impl Fn() + Sync,
     ) -> Result<Self, WorkError> {
+        let budget = options.memory / SLICING_FACTOR;
         let placements = placements(scene);
         let slicer = Slicer { options, scene_diagonal: diagonal(scene) };
         let source = Scene::open(work)?;
@@ -64,7 +72,21 @@ impl Pieces {
         let mut pieces = Self { first: vec![0], ..Self::default() };
         let mut next = 0;
         while next < scene.meshes.len() {
-            let batch = batch(scene, next, budget);
+            if scene.meshes[next].bytes() > budget && !placements[next].is_empty() {
+                let giant = Giant {
+                    work,
+                    scene,
+                    source: &source,
+                    mesh: next,
+                    frame: slicer.frame(&placements[next]),
+                    memory: options.memory,
+                };
+                pieces.add_giant(&mut file, &giant, placements[next].len())?;
+                done();
+                next += 1;
+                continue;
+            }
+            let batch = batch(scene, next, budget.min(MOST_BATCH_BYTES));
             next = batch.end;
             let made: Vec<Vec<PieceMesh>> = batch
                 .clone()
@@ -94,28 +116,58 @@ impl Pieces {
         users: usize,
         made: Vec<PieceMesh>,
     ) -> Result<(), WorkError> {
-        if made.is_empty() && users > 0 {
+        for piece in made {
+            self.add_piece(file, mesh, users, &piece)?;
+        }
+        self.end_mesh(scene, mesh, users);
+        Ok(())
+    }
+
+    fn add_giant(
+        &mut self,
+        file: &mut Appender,
+        giant: &Giant<'_>,
+        users: usize,
+    ) -> Result<(), WorkError> {
+        let first = self.infos.len();
+        let add = |file: &mut Appender, piece| self.add_piece(file, giant.mesh, users, &piece);
+        let seams = giant.pieces(file, add)?;
+        self.infos[first..].iter_mut().zip(seams).for_each(|(info, seams)| info.seams = seams);
+        self.end_mesh(giant.scene, giant.mesh, users);
+        Ok(())
+    }
+
+    fn add_piece(
+        &mut self,
+        file: &mut Appender,
+        mesh: usize,
+        users: usize,
+        piece: &PieceMesh,
+    ) -> Result<(), WorkError> {
+        let span = file.add(&[&piece.encode()])?;
+        // Decoded vertices of what is placed later lie up to a rounding outside.
+        let bounds = piece.bounds().grown(piece.step);
+        self.infos.push(PieceInfo {
+            mesh: mesh as u32,
+            is_shared: users > 1,
+            triangles: piece.triangles.len() as u32,
+            vertices: piece.vertices.len() as u32,
+            source_triangles: piece.source_triangles,
+            step: piece.step,
+            bounds,
+            span,
+            seams: Span::default(),
+        });
+        Ok(())
+    }
+
+    fn end_mesh(&mut self, scene: &Scene, mesh: usize, users: usize) {
+        if self.infos.len() == self.first[mesh] as usize && users > 0 {
             let name = &scene.meshes[mesh].name;
             self.notes
                 .push(format!("mesh \"{name}\" is left out: it has no triangle with an area"));
         }
-        for piece in made {
-            let span = file.append(&[&piece.encode()]).map_err(|source| file.error(source))?;
-            // Decoded vertices of what is placed later lie up to a rounding outside.
-            let bounds = piece.bounds().grown(piece.step);
-            self.infos.push(PieceInfo {
-                mesh: mesh as u32,
-                is_shared: users > 1,
-                triangles: piece.triangles.len() as u32,
-                vertices: piece.vertices.len() as u32,
-                source_triangles: piece.source_triangles,
-                step: piece.step,
-                bounds,
-                span,
-            });
-        }
         self.first.push(self.infos.len() as u32);
-        Ok(())
     }
 
     /// Pieces of a mesh.
@@ -130,12 +182,20 @@ impl Pieces {
 
     /// Reads one back.
     pub(crate) fn read(&self, from: &Records, index: usize) -> Result<PieceMesh, WorkError> {
-        PieceMesh::decode(&from.read(self.infos[index].span)?).map_err(|_| from.torn())
+        let info = &self.infos[index];
+        let mut piece = PieceMesh::decode(&from.read(info.span)?).map_err(|_| from.torn())?;
+        if info.seams.bytes > 0 {
+            let pairs = from.read(info.seams)?;
+            piece.seams = pairs.chunks_exact(8).map(bytemuck::pod_read_unaligned).collect();
+        }
+        Ok(piece)
     }
 
-    /// Bytes the file must have.
-    pub(crate) fn file_bytes(&self) -> u64 {
-        self.infos.last().map_or(0, |piece| piece.span.offset + piece.span.bytes)
+    /// Whether the file holds all of them as they were written.
+    pub(crate) fn is_whole(&self, work: &Work) -> bool {
+        let seams = self.infos.iter().map(|piece| piece.seams).filter(|seams| seams.bytes > 0);
+        let spans = self.infos.iter().map(|piece| piece.span).chain(seams);
+        Self::open(work).is_ok_and(|file| file.holds(spans))
     }
 
     pub(crate) fn encode(&self) -> Vec<u8> {
@@ -146,7 +206,7 @@ impl Pieces {
             out.put(piece.source_triangles);
             out.put(piece.step);
             out.put([piece.bounds.min.to_array(), piece.bounds.max.to_array()]);
-            out.put(piece.span);
+            out.put([piece.span, piece.seams]);
         }
         out.put_slice(&self.first);
         out.put(self.notes.len() as u64);
@@ -163,6 +223,7 @@ impl Pieces {
             let step = from.take()?;
             let [min, max]: [[f64; 3]; 2] = from.take()?;
             let bounds = Aabb { min: min.into(), max: max.into() };
+            let [span, seams] = from.take::<[Span; 2]>()?;
             pieces.infos.push(PieceInfo {
                 mesh,
                 is_shared: shared == 1,
@@ -171,7 +232,8 @@ impl Pieces {
                 source_triangles,
                 step,
                 bounds,
-                span: from.take()?,
+                span,
+                seams,
             });
         }
         pieces.first = from.take_slice()?;

@@ -2,7 +2,7 @@
 //! hlod is made from them.
 
 use crate::bytes::{Decoder, Encoder, Torn};
-use crate::levels::{Chain, Setting};
+use crate::levels::{Chain, CoarseMesh, Setting};
 use crate::pack::{Packed, pack};
 use crate::pieces::PieceMesh;
 use crate::plan::Pieces;
@@ -44,14 +44,13 @@ pub(crate) fn make(
         |mesh: &Mesh| pack(mesh, piece.step, surfaces).expect("levels have triangles with an area");
     let mut made = vec![MadeLevel { error: piece.step, packed: pack(&base), piece: None }];
     let mut chain = Chain::new(&base, piece.step, 0.0, setting);
-    let mut before: Option<(Mesh, f64)> = None;
+    let mut last: Option<CoarseMesh> = None;
     loop {
-        let (mesh, finer) = before.as_ref().map_or((&base, piece.step), |(m, e)| (m, *e));
-        let Ok(level) = chain.next(mesh, finer, mesh.triangles.len() / 2) else { return made };
+        let Ok(level) = chain.next(last.as_ref(), None) else { return made };
         let mut coarse = PieceMesh::of(&level.mesh, piece.step).expect("it was just packed");
         coarse.inherit_seams(piece);
         made.push(MadeLevel { error: level.error, packed: pack(&level.mesh), piece: Some(coarse) });
-        before = Some((level.mesh, level.error));
+        last = Some(level);
     }
 }
 
@@ -137,12 +136,11 @@ impl<'a> SharedLevels<'a> {
     }
 }
 
-/// Whether all that the table speaks of is in the working folder.
+/// Whether all that the table speaks of is in the working folder, as it was written.
 pub(crate) fn is_whole(work: &Work, table: &[u8]) -> bool {
     let Ok(levels) = decode(table) else { return false };
-    let ends = levels.iter().flatten().map(|l| l.span.offset.saturating_add(l.span.bytes));
-    let needed = ends.max().unwrap_or(0);
-    Records::open(&work.path(SHARED)).is_ok_and(|file| file.length() >= needed)
+    let spans = levels.iter().flatten().map(|level| level.span);
+    Records::open(&work.path(SHARED)).is_ok_and(|file| file.holds(spans))
 }
 
 fn decode(table: &[u8]) -> Result<Vec<Vec<SharedLevel>>, Torn> {

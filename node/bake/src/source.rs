@@ -2,6 +2,10 @@
 
 pub use protocol::format::Wrap;
 
+/// Most triangles of a mesh that are handed on or read back at once. Always the same, so that no
+/// scene depends on the memory it was baked in.
+pub const PART_TRIANGLES: usize = 1 << 16;
+
 /// One mesh, in its own coordinates. Any number of objects may place it.
 ///
 /// An importer guarantees: `positions`, `normals` and `colors` are equally long, every number is
@@ -87,6 +91,55 @@ impl SourceMesh {
     pub fn triangles(&self) -> u64 {
         self.indices.len() as u64 + self.dropped_degenerate
     }
+
+    /// The triangles of `range` and what they use, without a name. `stamps` is as long as the
+    /// positions, all `u32::MAX` before and after.
+    pub(crate) fn part(&self, range: std::ops::Range<usize>, stamps: &mut [u32]) -> Self {
+        let mut part = Self::default();
+        let mut used = Vec::new();
+        part.indices.extend(self.indices[range.clone()].iter().map(|triangle| {
+            triangle.map(|index| {
+                let stamp = &mut stamps[index as usize];
+                if *stamp == u32::MAX {
+                    *stamp = used.len() as u32;
+                    used.push(index as usize);
+                }
+                *stamp
+            })
+        }));
+        used.iter().for_each(|&index| stamps[index] = u32::MAX);
+        part.positions.extend(used.iter().map(|&index| self.positions[index]));
+        part.normals.extend(used.iter().map(|&index| self.normals[index]));
+        part.colors.extend(used.iter().map(|&index| self.colors[index]));
+        if !self.tex_coords.is_empty() {
+            part.tex_coords.extend(used.iter().map(|&index| self.tex_coords[index]));
+        }
+        for &Section { end, surface } in &self.sections {
+            let end = (end as usize).min(range.end).saturating_sub(range.start) as u32;
+            if end > part.sections.last().map_or(0, |section: &Section| section.end) {
+                part.sections.push(Section { end, surface });
+            }
+        }
+        part
+    }
+
+    /// Appends a part whose vertices are numbered from 0.
+    #[cfg(test)]
+    pub(crate) fn append(&mut self, part: Self) {
+        let (first, triangles) = (self.positions.len(), self.indices.len() as u32);
+        if !self.tex_coords.is_empty() || !part.tex_coords.is_empty() {
+            self.tex_coords.resize(first, [0.0; 2]);
+            self.tex_coords.extend(&part.tex_coords);
+            self.tex_coords.resize(first + part.positions.len(), [0.0; 2]);
+        }
+        self.positions.extend(part.positions);
+        self.normals.extend(part.normals);
+        self.colors.extend(part.colors);
+        self.indices.extend(part.indices.iter().map(|t| t.map(|index| index + first as u32)));
+        let moved = |s: Section| Section { end: s.end + triangles, ..s };
+        self.sections.extend(part.sections.into_iter().map(moved));
+        self.dropped_degenerate += part.dropped_degenerate;
+    }
 }
 
 /// One placed mesh.
@@ -118,6 +171,9 @@ impl SourceObject {
 pub trait Sink {
     /// Takes the next mesh.
     fn mesh(&mut self, mesh: SourceMesh) -> std::io::Result<()>;
+    /// Takes more triangles of the mesh that was taken last. They share no vertex with those before:
+    /// their vertices are numbered from 0 again.
+    fn more(&mut self, part: SourceMesh) -> std::io::Result<()>;
     /// Takes the next texture.
     fn texture(&mut self, texture: Texture) -> std::io::Result<()>;
 }

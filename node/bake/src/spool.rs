@@ -2,12 +2,15 @@
 
 use crate::bytes::{Decoder, Encoder, Torn};
 use crate::source::{
-    Alpha, Imported, Section, Sink, SourceMesh, SourceObject, Surface, Texture, Wrap,
+    Alpha, Imported, PART_TRIANGLES, Section, Sink, SourceMesh, SourceObject, Surface, Texture,
+    Wrap,
 };
 use crate::work::{Appender, Records, Span, Work, WorkError};
 use geometry::bounds::Aabb;
+use geometry::weld::Repeats;
 use glam::{DAffine3, DMat3, DVec3, Vec3};
 use std::io;
+use std::ops::Range;
 
 const MESHES: &str = "meshes";
 
@@ -21,7 +24,21 @@ pub(crate) struct MeshInfo {
     pub(crate) dropped_degenerate: u64,
     /// Box of all positions, in its own space.
     pub(crate) bounds: Aabb,
-    sections: Vec<Section>,
+    /// Its parts: those from this one of [`Scene::parts`] on, up to the next mesh's.
+    first_part: u32,
+}
+
+/// What is known of some triangles of a mesh that lie on disk, at most [`PART_TRIANGLES`].
+#[derive(Debug, Clone, Copy, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
+#[repr(C)]
+struct PartInfo {
+    positions: u32,
+    tex_coords: u32,
+    triangles: u32,
+    /// Its sections: those from this one of [`Scene::sections`] on.
+    first_section: u32,
+    sections: u32,
+    reserved: u32,
     span: Span,
 }
 
@@ -45,6 +62,8 @@ pub(crate) struct TextureInfo {
 pub(crate) struct Spool {
     file: Appender,
     meshes: Vec<MeshInfo>,
+    parts: Vec<PartInfo>,
+    sections: Vec<[u32; 2]>,
     textures: Vec<TextureInfo>,
     /// Surfaces of the files before.
     surfaces: usize,
@@ -53,7 +72,14 @@ pub(crate) struct Spool {
 impl Spool {
     pub(crate) fn create(work: &Work) -> Result<Self, WorkError> {
         let file = Appender::create(&work.path(MESHES))?;
-        Ok(Self { file, meshes: Vec::new(), textures: Vec::new(), surfaces: 0 })
+        Ok(Self {
+            file,
+            meshes: Vec::new(),
+            parts: Vec::new(),
+            sections: Vec::new(),
+            textures: Vec::new(),
+            surfaces: 0,
+        })
     }
 
     /// Meshes and textures so far: the numbers of the next file begin there.
@@ -70,38 +96,76 @@ impl Spool {
     pub(crate) fn finish(mut self, imported: Imported) -> Result<Scene, WorkError> {
         self.file.flush()?;
         let Imported { objects, surfaces, up, notes } = imported;
-        let Self { meshes, textures, .. } = self;
-        Ok(Scene { meshes, textures, objects, surfaces, up, notes })
+        let Self { meshes, parts, sections, textures, .. } = self;
+        Ok(Scene { meshes, parts, sections, textures, objects, surfaces, up, notes })
+    }
+
+    /// Writes a part of the latest mesh.
+    fn part(&mut self, part: &SourceMesh) -> io::Result<()> {
+        let info = self.meshes.last_mut().expect("a mesh was begun");
+        info.positions += part.positions.len() as u64;
+        info.tex_coords += part.tex_coords.len() as u64;
+        info.triangles += part.indices.len() as u64;
+        info.dropped_degenerate += part.dropped_degenerate;
+        if info.positions.max(info.triangles) > u64::from(u32::MAX) {
+            return Err(io::Error::other("a mesh exceeds 2^32 vertices; split it"));
+        }
+        let points = part.positions.iter().map(|p| Vec3::from_array(*p).as_dvec3());
+        info.bounds = info.bounds.union(Aabb::of(points));
+        let first_section = self.sections.len() as u32;
+        for &Section { end, surface } in &part.sections {
+            let surface = u32::from(surface) + self.surfaces as u32;
+            if surface > u32::from(u16::MAX) {
+                return Err(io::Error::other("there are more than 65536 surfaces"));
+            }
+            self.sections.push([end, surface]);
+        }
+        let span = self.file.append(&[
+            bytemuck::cast_slice(&part.positions),
+            bytemuck::cast_slice(&part.normals),
+            bytemuck::cast_slice(&part.colors),
+            bytemuck::cast_slice(&part.tex_coords),
+            bytemuck::cast_slice(&part.indices),
+        ])?;
+        self.parts.push(PartInfo {
+            positions: part.positions.len() as u32,
+            tex_coords: part.tex_coords.len() as u32,
+            triangles: part.indices.len() as u32,
+            first_section,
+            sections: part.sections.len() as u32,
+            reserved: 0,
+            span,
+        });
+        Ok(())
     }
 }
 
 impl Sink for Spool {
-    fn mesh(&mut self, mesh: SourceMesh) -> io::Result<()> {
-        let span = self.file.append(&[
-            bytemuck::cast_slice(&mesh.positions),
-            bytemuck::cast_slice(&mesh.normals),
-            bytemuck::cast_slice(&mesh.colors),
-            bytemuck::cast_slice(&mesh.tex_coords),
-            bytemuck::cast_slice(&mesh.indices),
-        ])?;
-        let sections = mesh.sections.iter().map(|&Section { end, surface }| {
-            let surface = u16::try_from(usize::from(surface) + self.surfaces);
-            let surface =
-                surface.map_err(|_| io::Error::other("there are more than 65536 surfaces"))?;
-            Ok(Section { end, surface })
-        });
-        let sections = sections.collect::<io::Result<Vec<_>>>()?;
-        let points = mesh.positions.iter().map(|p| Vec3::from_array(*p).as_dvec3());
+    fn mesh(&mut self, mut mesh: SourceMesh) -> io::Result<()> {
         self.meshes.push(MeshInfo {
-            positions: mesh.positions.len() as u64,
-            tex_coords: mesh.tex_coords.len() as u64,
-            triangles: mesh.indices.len() as u64,
-            dropped_degenerate: mesh.dropped_degenerate,
-            bounds: Aabb::of(points),
-            name: mesh.name,
-            sections,
-            span,
+            name: std::mem::take(&mut mesh.name),
+            positions: 0,
+            tex_coords: 0,
+            triangles: 0,
+            dropped_degenerate: 0,
+            bounds: Aabb::EMPTY,
+            first_part: self.parts.len() as u32,
         });
+        self.more(mesh)
+    }
+
+    fn more(&mut self, part: SourceMesh) -> io::Result<()> {
+        let triangles = part.indices.len();
+        if triangles <= PART_TRIANGLES {
+            return self.part(&part);
+        }
+        let mut stamps = vec![u32::MAX; part.positions.len()];
+        for start in (0..triangles).step_by(PART_TRIANGLES) {
+            let end = triangles.min(start + PART_TRIANGLES);
+            self.part(&part.part(start..end, &mut stamps))?;
+        }
+        let info = self.meshes.last_mut().expect("a mesh was begun");
+        info.dropped_degenerate += part.dropped_degenerate;
         Ok(())
     }
 
@@ -116,6 +180,10 @@ impl Sink for Spool {
 #[derive(Debug, Default, PartialEq)]
 pub(crate) struct Scene {
     pub(crate) meshes: Vec<MeshInfo>,
+    /// Mesh after mesh.
+    parts: Vec<PartInfo>,
+    /// Part after part: one past the last triangle, counted within the part, and the surface.
+    sections: Vec<[u32; 2]>,
     pub(crate) textures: Vec<TextureInfo>,
     pub(crate) objects: Vec<SourceObject>,
     pub(crate) surfaces: Vec<Surface>,
@@ -134,37 +202,74 @@ impl Scene {
         work.forget(MESHES);
     }
 
-    /// Bytes the file must have.
-    pub(crate) fn spooled_bytes(&self) -> u64 {
-        let spans = self.meshes.iter().map(|mesh| mesh.span);
-        let spans = spans.chain(self.textures.iter().map(|texture| texture.span));
-        spans.map(|span| span.offset.saturating_add(span.bytes)).max().unwrap_or(0)
+    /// Whether the file holds all meshes and textures as they were written.
+    pub(crate) fn is_whole(&self, work: &Work) -> bool {
+        let textures = self.textures.iter().map(|texture| texture.span);
+        let spans = self.parts.iter().map(|part| part.span).chain(textures);
+        Self::open(work).is_ok_and(|file| file.holds(spans))
+    }
+
+    /// Numbers of a mesh's parts.
+    pub(crate) fn parts_of(&self, mesh: usize) -> Range<usize> {
+        let end = self.meshes.get(mesh + 1).map_or(self.parts.len(), |m| m.first_part as usize);
+        self.meshes[mesh].first_part as usize..end
+    }
+
+    /// Triangles of a part.
+    pub(crate) fn part_triangles(&self, part: usize) -> u32 {
+        self.parts[part].triangles
     }
 
     /// Reads a mesh back.
-    pub(crate) fn mesh(&self, from: &Records, index: usize) -> Result<SourceMesh, WorkError> {
-        let info = &self.meshes[index];
+    pub(crate) fn mesh(&self, from: &Records, mesh: usize) -> Result<SourceMesh, WorkError> {
+        self.some_parts(from, self.parts_of(mesh))
+    }
+
+    /// Reads some parts of a mesh back, as one.
+    pub(crate) fn some_parts(
+        &self,
+        from: &Records,
+        parts: Range<usize>,
+    ) -> Result<SourceMesh, WorkError> {
+        let infos = &self.parts[parts];
+        let sum = |count: fn(&PartInfo) -> u32| infos.iter().map(|i| count(i) as usize).sum();
+        let (positions, triangles): (usize, usize) = (sum(|i| i.positions), sum(|i| i.triangles));
+        let is_textured = infos.iter().any(|info| info.tex_coords > 0);
         let mut mesh = SourceMesh {
-            name: info.name.clone(),
-            positions: vec![[0.0; 3]; info.positions as usize],
-            normals: vec![[0.0; 3]; info.positions as usize],
-            colors: vec![[0; 4]; info.positions as usize],
-            tex_coords: vec![[0.0; 2]; info.tex_coords as usize],
-            indices: vec![[0; 3]; info.triangles as usize],
-            sections: info.sections.clone(),
-            dropped_degenerate: info.dropped_degenerate,
+            name: String::new(),
+            positions: vec![[0.0; 3]; positions],
+            normals: vec![[0.0; 3]; positions],
+            colors: vec![[0; 4]; positions],
+            tex_coords: vec![[0.0; 2]; if is_textured { positions } else { 0 }],
+            indices: vec![[0; 3]; triangles],
+            sections: Vec::with_capacity(sum(|i| i.sections)),
+            dropped_degenerate: 0,
         };
-        let mut offset = info.span.offset;
-        let stretches: [&mut [u8]; 5] = [
-            bytemuck::cast_slice_mut(&mut mesh.positions),
-            bytemuck::cast_slice_mut(&mut mesh.normals),
-            bytemuck::cast_slice_mut(&mut mesh.colors),
-            bytemuck::cast_slice_mut(&mut mesh.tex_coords),
-            bytemuck::cast_slice_mut(&mut mesh.indices),
-        ];
-        for stretch in stretches {
-            from.read_into(offset, stretch)?;
-            offset += stretch.len() as u64;
+        let (mut vertex, mut triangle) = (0, 0);
+        for info in infos {
+            let end = vertex + info.positions as usize;
+            let indices = &mut mesh.indices[triangle..][..info.triangles as usize];
+            // A part without coordinates leaves them zero.
+            let coords = mesh.tex_coords.get_mut(vertex..vertex + info.tex_coords as usize);
+            from.read_into(
+                info.span,
+                &mut [
+                    bytemuck::cast_slice_mut(&mut mesh.positions[vertex..end]),
+                    bytemuck::cast_slice_mut(&mut mesh.normals[vertex..end]),
+                    bytemuck::cast_slice_mut(&mut mesh.colors[vertex..end]),
+                    bytemuck::cast_slice_mut(coords.unwrap_or_default()),
+                    bytemuck::cast_slice_mut(indices),
+                ],
+            )?;
+            if vertex > 0 {
+                indices.as_flattened_mut().iter_mut().for_each(|index| *index += vertex as u32);
+            }
+            let own = &self.sections[info.first_section as usize..][..info.sections as usize];
+            mesh.sections.extend(own.iter().map(|&[end, surface]| Section {
+                end: end + triangle as u32,
+                surface: surface as u16,
+            }));
+            (vertex, triangle) = (end, triangle + info.triangles as usize);
         }
         Ok(mesh)
     }
@@ -174,9 +279,14 @@ impl Scene {
         from.read(self.textures[index].span)
     }
 
-    /// By surface: whether it is seen from one side only.
-    pub(crate) fn single_sided(&self) -> Vec<bool> {
-        self.surfaces.iter().map(|surface| !surface.double_sided).collect()
+    /// By surface: what becomes of repeated triangles.
+    pub(crate) fn repeats(&self) -> Vec<Repeats> {
+        let of = |surface: &Surface| match (surface.alpha, surface.double_sided) {
+            (Alpha::Blend, _) => Repeats::All,
+            (_, false) => Repeats::EachWay,
+            (_, true) => Repeats::One,
+        };
+        self.surfaces.iter().map(of).collect()
     }
 
     /// As bytes, for the working folder.
@@ -187,11 +297,10 @@ impl Scene {
             out.put_text(&mesh.name);
             out.put([mesh.positions, mesh.tex_coords, mesh.triangles, mesh.dropped_degenerate]);
             out.put([mesh.bounds.min.to_array(), mesh.bounds.max.to_array()]);
-            let sections: Vec<[u32; 2]> =
-                mesh.sections.iter().map(|s| [s.end, u32::from(s.surface)]).collect();
-            out.put_slice(&sections);
-            out.put(mesh.span);
+            out.put(mesh.first_part);
         }
+        out.put_slice(&self.parts);
+        out.put_slice(&self.sections);
         out.put(self.textures.len() as u64);
         for texture in &self.textures {
             out.put(texture.side);
@@ -230,7 +339,6 @@ impl Scene {
             let name = from.take_text()?;
             let [positions, tex_coords, triangles, dropped_degenerate] = from.take()?;
             let [min, max]: [[f64; 3]; 2] = from.take()?;
-            let sections = from.take_slice::<[u32; 2]>()?;
             scene.meshes.push(MeshInfo {
                 name,
                 positions,
@@ -238,13 +346,11 @@ impl Scene {
                 triangles,
                 dropped_degenerate,
                 bounds: Aabb { min: min.into(), max: max.into() },
-                sections: sections
-                    .into_iter()
-                    .map(|[end, surface]| Section { end, surface: surface as u16 })
-                    .collect(),
-                span: from.take()?,
+                first_part: from.take()?,
             });
         }
+        scene.parts = from.take_slice()?;
+        scene.sections = from.take_slice()?;
         for _ in 0..from.take_count()? {
             let side = from.take()?;
             let wrap = Wrap::unpack(from.take()?).ok_or(Torn)?;
@@ -319,8 +425,63 @@ mod tests {
         assert_eq!(Scene::decode(&bytes).as_ref(), Ok(&scene));
         assert!((0..bytes.len()).all(|end| Scene::decode(&bytes[..end]).is_err()));
         let from = Scene::open(&work).unwrap();
-        assert_eq!(scene.mesh(&from, 1).unwrap(), mesh);
+        let kept = SourceMesh { name: String::new(), dropped_degenerate: 0, ..mesh };
+        assert_eq!(scene.mesh(&from, 1).unwrap(), kept);
+        assert_eq!((&*scene.meshes[1].name, scene.meshes[1].dropped_degenerate), ("roof", 2));
         assert_eq!(scene.texture(&from, 0).unwrap(), [9; 4]);
-        assert_eq!(scene.spooled_bytes(), from.length());
+        assert!(scene.is_whole(&work));
+        let path = work.path(MESHES);
+        let whole = std::fs::read(&path).unwrap();
+        for at in 0..whole.len() {
+            let mut flipped = whole.clone();
+            flipped[at] ^= 1;
+            std::fs::write(&path, flipped).unwrap();
+            assert!(!scene.is_whole(&work), "byte {at}");
+        }
+    }
+
+    #[test]
+    fn a_large_mesh_lies_in_parts_and_comes_back_as_it_was() {
+        let folder = tempfile::tempdir().unwrap();
+        let work = Work::open(&folder.path().join("a.occ")).unwrap();
+        let mut spool = Spool::create(&work).unwrap();
+        // A fan: every triangle has the hub.
+        let count = PART_TRIANGLES as u32 + 700;
+        let at = |i: u32| [(f64::from(i) * 1e-4).cos() as f32, (f64::from(i) * 1e-4).sin() as f32];
+        let rim: Vec<[f32; 2]> = (0..count + 2).map(at).collect();
+        let fan = SourceMesh {
+            positions: rim.iter().map(|[x, y]| [*x, *y, 0.0]).collect(),
+            normals: vec![[0.0, 0.0, 1.0]; rim.len()],
+            colors: vec![[7; 4]; rim.len()],
+            tex_coords: rim,
+            indices: (0..count).map(|i| [0, i + 1, i + 2]).collect(),
+            sections: [(600, 2), (count - 5, 1), (count, 2)]
+                .map(|(end, surface)| Section { end, surface })
+                .to_vec(),
+            dropped_degenerate: 3,
+            ..SourceMesh::default()
+        };
+        spool.mesh(fan.clone()).unwrap();
+        let more = SourceMesh { tex_coords: Vec::new(), ..fan.clone() };
+        spool.more(more).unwrap();
+        let scene = spool.finish(Imported::default()).unwrap();
+        assert_eq!((scene.parts_of(0), scene.meshes[0].dropped_degenerate), (0..4, 6));
+        assert_eq!(scene.meshes[0].triangles, 2 * u64::from(count));
+        let back = scene.mesh(&Scene::open(&work).unwrap(), 0).unwrap();
+        let corners = |mesh: &SourceMesh, triangle: u32| {
+            let section = mesh.sections.iter().find(|section| triangle < section.end);
+            let corners = mesh.indices[triangle as usize].map(|index| {
+                let coords = mesh.tex_coords[index as usize];
+                (mesh.positions[index as usize], coords, mesh.colors[index as usize])
+            });
+            (section.unwrap().surface, corners)
+        };
+        for triangle in 0..count {
+            assert_eq!(corners(&back, triangle), corners(&fan, triangle), "{triangle}");
+            let (surface, again) = corners(&back, triangle + count);
+            let (expected, corners) = corners(&fan, triangle);
+            assert_eq!(surface, expected);
+            assert!(again.iter().zip(corners).all(|(a, b)| a.0 == b.0 && a.1 == [0.0; 2]));
+        }
     }
 }

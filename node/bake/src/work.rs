@@ -5,7 +5,7 @@
 //! in it.
 
 use std::fs::{File, TryLockError};
-use std::io::{self, Seek, SeekFrom, Write};
+use std::io::{self, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 
@@ -137,12 +137,14 @@ impl Work {
     }
 }
 
-/// Where a record lies in a file.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, bytemuck::Pod, bytemuck::Zeroable)]
+/// Where a record lies in a file, and what it must hold.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, bytemuck::Pod, bytemuck::Zeroable)]
 #[repr(C)]
 pub(crate) struct Span {
     pub(crate) offset: u64,
     pub(crate) bytes: u64,
+    /// CRC-32C of its bytes.
+    check: u64,
 }
 
 /// A file that records are appended to.
@@ -174,11 +176,18 @@ impl Appender {
     /// Appends one record made of several stretches of bytes.
     pub(crate) fn append(&mut self, stretches: &[&[u8]]) -> io::Result<Span> {
         let offset = self.length;
+        let mut check = 0;
         for stretch in stretches {
             self.file.write_all(stretch)?;
             self.length += stretch.len() as u64;
+            check = crc32c::crc32c_append(check, stretch);
         }
-        Ok(Span { offset, bytes: self.length - offset })
+        Ok(Span { offset, bytes: self.length - offset, check: u64::from(check) })
+    }
+
+    /// [`Appender::append`], its fault with the file's name.
+    pub(crate) fn add(&mut self, stretches: &[&[u8]]) -> Result<Span, WorkError> {
+        self.append(stretches).map_err(|source| self.error(source))
     }
 
     /// A failed append, with the file's name.
@@ -208,15 +217,23 @@ impl Records {
         Ok(Self { path: path.to_path_buf(), file: Mutex::new(file), length })
     }
 
-    /// Reads bytes that were appended at `offset` into `to`.
-    pub(crate) fn read_into(&self, offset: u64, to: &mut [u8]) -> Result<(), WorkError> {
+    /// Reads one record into stretches that it fills.
+    pub(crate) fn read_into(&self, span: Span, to: &mut [&mut [u8]]) -> Result<(), WorkError> {
+        let bytes: usize = to.iter().map(|stretch| stretch.len()).sum();
+        if bytes as u64 != span.bytes {
+            return Err(self.torn());
+        }
         let mut read = || {
-            use std::io::Read;
             let mut file = self.file.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
-            file.seek(SeekFrom::Start(offset))?;
-            file.read_exact(to)
+            file.seek(SeekFrom::Start(span.offset))?;
+            to.iter_mut().try_for_each(|stretch| file.read_exact(stretch))
         };
-        read().map_err(|source| WorkError::io(&self.path, source))
+        read().map_err(|source| match source.kind() {
+            io::ErrorKind::UnexpectedEof => self.torn(),
+            _ => WorkError::io(&self.path, source),
+        })?;
+        let check = to.iter().fold(0, |check, stretch| crc32c::crc32c_append(check, stretch));
+        if u64::from(check) == span.check { Ok(()) } else { Err(self.torn()) }
     }
 
     /// Reads one record.
@@ -225,18 +242,36 @@ impl Records {
             return Err(self.torn());
         }
         let mut bytes = vec![0; span.bytes as usize];
-        self.read_into(span.offset, &mut bytes)?;
+        self.read_into(span, &mut [&mut bytes])?;
         Ok(bytes)
+    }
+
+    /// Whether all these records are there as they were written.
+    pub(crate) fn holds(&self, spans: impl Iterator<Item = Span>) -> bool {
+        let mut bytes = vec![0; 1 << 16];
+        spans.into_iter().all(|span| self.is_sound(span, &mut bytes))
+    }
+
+    fn is_sound(&self, span: Span, buffer: &mut [u8]) -> bool {
+        let mut file = self.file.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
+        let (mut left, mut check) = (span.bytes, 0);
+        if file.seek(SeekFrom::Start(span.offset)).is_err() {
+            return false;
+        }
+        while left > 0 {
+            let few = &mut buffer[..left.min(1 << 16) as usize];
+            if file.read_exact(few).is_err() {
+                return false;
+            }
+            check = crc32c::crc32c_append(check, few);
+            left -= few.len() as u64;
+        }
+        u64::from(check) == span.check
     }
 
     /// The error of a record that is not what it should be.
     pub(crate) fn torn(&self) -> WorkError {
         WorkError::io(&self.path, crate::bytes::Torn.into())
-    }
-
-    /// Bytes in the file when it was opened.
-    pub(crate) fn length(&self) -> u64 {
-        self.length
     }
 }
 
@@ -284,8 +319,20 @@ mod tests {
         let records = Records::open(&path).unwrap();
         assert_eq!(records.read(second).unwrap(), b"three");
         assert_eq!(records.read(first).unwrap(), b"onetwo");
-        assert!(records.read(Span { offset: 6, bytes: 6 }).is_err());
-        assert!(records.read(Span { offset: u64::MAX, bytes: 6 }).is_err());
+        assert!(records.holds([first, second].into_iter()));
+        for wrong in [
+            Span { offset: 7, ..second },
+            Span { offset: u64::MAX, ..second },
+            Span { bytes: 4, ..second },
+            Span { bytes: u64::MAX, ..second },
+            Span { check: 0, ..second },
+        ] {
+            assert!(records.read(wrong).is_err() && !records.holds([wrong].into_iter()));
+        }
+        std::fs::write(&path, b"onetwothref").unwrap();
+        let says = records.read(second).unwrap_err().to_string();
+        assert!(says.contains("records") && says.contains("torn"), "{says}");
+        assert!(records.holds([first].into_iter()) && !records.holds([second].into_iter()));
         let mut out = Appender::resume(&path, 3).unwrap();
         out.append(&[b"!"]).unwrap();
         out.flush().unwrap();

@@ -34,7 +34,7 @@ fn main() {
             let target = fine.triangles.len() / share;
             let welded = weld(&fine, Weld::within(1e-9));
             let reduced = simplify(&welded, target, 0.5);
-            let coarse = welded.with_triangles(&reduced.triangles);
+            let coarse = welded.with_triangles(&reduced.triangles, reduced.estimate).0;
             for enough in [0.0, 1.0] {
                 report(name, &fine, &coarse, enough);
             }

@@ -17,12 +17,16 @@
 //! point only makes a distance greater, which is the safe side for the upper bound.
 
 use crate::mesh::Mesh;
+use fans::NONE;
 use glam::DVec3;
 use std::collections::BinaryHeap;
 
+mod fans;
 mod surface;
 #[cfg(test)]
 mod tests;
+mod tree;
+mod triangle;
 
 pub use surface::Surface;
 
@@ -32,12 +36,10 @@ const MARGIN: f64 = 512.0 * f64::EPSILON;
 const DEEPEST: u8 = 60;
 /// Cuts of one triangle before others have their turn.
 const CUTS_AT_ONCE: usize = 24;
-/// Triangles that settled others lately, tried before any search.
-const RECENT: usize = 4;
 /// Triangles looked at first, to learn about how great the distance is.
-const FIRST_LOOKS: usize = 32;
+const FIRST_LOOKS: usize = 8;
 /// A triangle this share of the wanted distance away is as good as the nearest.
-const NEAR_SHARE: f64 = 0.08;
+const NEAR_SHARE: f64 = 0.15;
 /// Least reach of both parts of a piece from where it is cut, as a share of the wanted distance.
 const CUT_SHARE: f64 = 0.125;
 
@@ -64,12 +66,23 @@ pub struct Goal {
 /// Bounds the greatest distance from a point of `from` to `to`, both ends finite; 0 if `from` has no
 /// triangle, infinite if only `to` has none.
 pub fn directed(from: &Mesh, to: &Surface, goal: &Goal) -> Bound {
-    directed_but(from, to, goal, f64::INFINITY).0
+    directed_but(from, to, &[], goal, f64::INFINITY).0
 }
 
 /// The same for those triangles of `from` of which nothing was seen farther away than `limit`; the
 /// others are returned, ascending.
-pub fn directed_but(from: &Mesh, to: &Surface, goal: &Goal, limit: f64) -> (Bound, Vec<u32>) {
+///
+/// `places` are those of the vertices of `from`, numbered as those that `to` was prepared with, or
+/// empty. They save searches. Nothing is taken for granted from them: what is wrong in them costs time,
+/// and no bound.
+pub fn directed_but(
+    from: &Mesh,
+    to: &Surface,
+    places: &[u32],
+    goal: &Goal,
+    limit: f64,
+) -> (Bound, Vec<u32>) {
+    assert!(places.is_empty() || places.len() == from.vertices.len(), "one place a vertex");
     if from.triangles.is_empty() {
         return (Bound { upper: 0.0, lower: 0.0 }, Vec::new());
     }
@@ -82,11 +95,15 @@ pub fn directed_but(from: &Mesh, to: &Surface, goal: &Goal, limit: f64) -> (Boun
     }
     let mut prover = Prover::new(from, to, goal.enough, 1.0 + goal.slack);
     prover.limit = limit;
+    prover.places = places;
+    for (near, &place) in prover.near.iter_mut().zip(places) {
+        *near = to.fans.any(place);
+    }
     let mut far = Vec::new();
     let stride = from.triangles.len().div_ceil(FIRST_LOOKS);
     for triangle in from.triangles.iter().step_by(stride) {
         let piece = prover.piece(*triangle);
-        prover.look(piece.middle(), prover.seen);
+        prover.look(piece.middle(), piece.near[0], prover.seen);
     }
     let mut left = goal.budget;
     let mut unsettled = BinaryHeap::new();
@@ -216,6 +233,8 @@ struct Prover<'a> {
     to: &'a Surface,
     /// Vertices relative to the surface's origin.
     points: Vec<DVec3>,
+    /// The place of each vertex, or none.
+    places: &'a [u32],
     /// A triangle near each vertex, once asked for.
     near: Vec<u32>,
     /// By vertex, the squared distance to one triangle.
@@ -234,8 +253,6 @@ struct Prover<'a> {
     proven: f64,
     /// The triangle that settled the last piece.
     hint: u32,
-    /// Some that settled pieces before.
-    recent: [u32; RECENT],
     waiting: Vec<Piece>,
     open: Vec<Open>,
 }
@@ -246,8 +263,9 @@ impl<'a> Prover<'a> {
         let reach = points.iter().fold(0.0f64, |most, p| most.max(p.length_squared())).sqrt();
         let margin = (reach.max(to.reach)) * MARGIN;
         Self {
-            near: vec![u32::MAX; points.len()],
-            known: vec![(u32::MAX, 0.0); points.len()],
+            places: &[],
+            near: vec![NONE; points.len()],
+            known: vec![(NONE, 0.0); points.len()],
             points,
             to,
             margin,
@@ -259,7 +277,6 @@ impl<'a> Prover<'a> {
             strayed: false,
             proven: 0.0,
             hint: 0,
-            recent: [0; RECENT],
             waiting: Vec::new(),
             open: Vec::new(),
         }
@@ -278,8 +295,9 @@ impl<'a> Prover<'a> {
     }
 
     /// The distance from a point, and a triangle near it; exact where it is more than `enough`.
-    fn look(&mut self, p: DVec3, enough: f64) -> (f64, u32) {
-        let mut near = self.hint;
+    /// `first` names one to begin with, if it is known.
+    fn look(&mut self, p: DVec3, first: u32, enough: f64) -> (f64, u32) {
+        let mut near = if first == NONE { self.hint } else { first };
         let distance = self.to.nearest2(p, enough * enough, &mut near).sqrt();
         if distance > self.limit {
             self.strayed = true;
@@ -327,25 +345,13 @@ impl<'a> Prover<'a> {
             self.proven = self.proven.max(greatest);
             return 0;
         }
-        let corners = triangle.map(|v| self.points[v as usize]);
-        for at in 0..RECENT {
-            let by = self.recent[at];
-            if by == self.hint {
-                continue;
-            }
-            if let Some(greatest) = self.covered(&corners, by, self.wanted * self.wanted) {
-                self.proven = self.proven.max(greatest);
-                self.recent[at] = self.hint;
-                self.hint = by;
-                return 0;
-            }
+        if self.share_a_side(triangle) {
+            return 0;
         }
-        self.recent.rotate_right(1);
-        self.recent[0] = self.hint;
         for v in triangle {
-            if self.near[v as usize] == u32::MAX {
+            if self.near[v as usize] == NONE {
                 let enough = self.wanted * NEAR_SHARE;
-                let near = self.look(self.points[v as usize], enough).1;
+                let near = self.look(self.points[v as usize], NONE, enough).1;
                 if self.strayed {
                     return 0;
                 }
@@ -383,6 +389,26 @@ impl<'a> Prover<'a> {
         cuts
     }
 
+    /// Whether a triangle settles this one that has two corners in common with it.
+    fn share_a_side(&mut self, triangle: [u32; 3]) -> bool {
+        if self.places.is_empty() {
+            return false;
+        }
+        let (to, wanted) = (self.to, self.wanted * self.wanted);
+        // The corner that is not shared comes first: it decides.
+        let [p, q, r] = triangle.map(|v| self.points[v as usize]);
+        let [a, b, c] = triangle.map(|v| self.places[v as usize]);
+        let at_first = to.fans.sharing(a, [b, c]).map(|by| ([r, q, p], by));
+        let beside = to.fans.sharing(b, [c, c]).map(|by| ([p, q, r], by));
+        let found = at_first
+            .chain(beside)
+            .find_map(|(corners, by)| self.covered(&corners, by, wanted).map(|g| (by, g)));
+        if let Some((by, greatest)) = found {
+            (self.proven, self.hint) = (self.proven.max(greatest), by);
+        }
+        found.is_some()
+    }
+
     /// Whether a triangle near a corner, or the last one that settled a piece, settles this one.
     fn near_a_corner(&mut self, piece: &Piece) -> bool {
         let wanted = self.wanted * self.wanted;
@@ -391,7 +417,9 @@ impl<'a> Prover<'a> {
             if k > 0 && by == x || k > 1 && by == y || k > 2 && by == z {
                 continue;
             }
-            if let Some(greatest) = self.covered(&piece.corners, by, wanted) {
+            // The corner that it is near to comes last: others decide.
+            let corners = [1, 2, 3].map(|next| piece.corners[(k + next) % 3]);
+            if let Some(greatest) = self.covered(&corners, by, wanted) {
                 (self.proven, self.hint) = (self.proven.max(greatest), by);
                 return true;
             }
@@ -402,7 +430,7 @@ impl<'a> Prover<'a> {
     /// Nothing if the triangle near the piece's middle settles it, or the middle's distance does.
     fn near_its_middle(&mut self, piece: Piece) -> Option<Open> {
         let middle = piece.middle();
-        let (distance, near) = self.look(middle, self.wanted * NEAR_SHARE);
+        let (distance, near) = self.look(middle, piece.near[0], self.wanted * NEAR_SHARE);
         let wanted = self.wanted * self.wanted;
         if let Some(greatest) = self.covered(&piece.corners, near, wanted) {
             (self.proven, self.hint) = (self.proven.max(greatest), near);

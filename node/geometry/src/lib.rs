@@ -10,6 +10,7 @@ pub mod frustum;
 pub mod hash;
 pub mod hausdorff;
 pub mod hierarchy;
+mod lists;
 pub mod mesh;
 mod nearest;
 pub mod partition;

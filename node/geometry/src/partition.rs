@@ -1,6 +1,11 @@
 //! Splitting one mesh into compact pieces, top down, by a binned surface-area heuristic (Wald 2007).
+//!
+//! Every decision is a function of sums over a set of boxes that do not depend on their order: so a set
+//! that does not fit the memory is divided by reading it front to back, and gives the same pieces.
 
+use bytemuck::{Pod, Zeroable};
 use glam::Vec3;
+use rayon::prelude::*;
 
 /// Bins an axis is divided into when a split is sought.
 const BINS: usize = 16;
@@ -10,37 +15,230 @@ const LEAST_SHARE: usize = 8;
 const PAYING_COST: f32 = 0.75;
 /// Margin on a box before its area is taken, as a share of the mesh: a line has a cost, too.
 const MARGIN: f32 = 1e-3;
+/// Sets of so many boxes are worth a second thread.
+const PARALLEL: usize = 1 << 14;
 
-/// The box of one triangle, relative to somewhere near the mesh.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct TriangleBox {
-    /// Least corner.
-    pub min: Vec3,
-    /// Greatest corner.
-    pub max: Vec3,
+/// The box of a triangle, relative to somewhere near the mesh. It is moved as a whole: jumping through
+/// memory for each box of a large set takes longer than all arithmetic.
+#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+pub struct Item {
+    min: [f32; 3],
+    max: [f32; 3],
+    /// Which triangle; settles ties.
+    pub id: u32,
 }
 
-impl TriangleBox {
-    const EMPTY: Self = Self { min: Vec3::INFINITY, max: Vec3::NEG_INFINITY };
-
+impl Item {
     /// The box of three corners.
-    pub fn of(corners: [Vec3; 3]) -> Self {
+    pub fn of(id: u32, corners: [Vec3; 3]) -> Self {
         let [a, b, c] = corners;
-        Self { min: a.min(b).min(c), max: a.max(b).max(c) }
+        Self { min: a.min(b).min(c).to_array(), max: a.max(b).max(c).to_array(), id }
     }
+
+    fn bounds(&self) -> Extent {
+        Extent { min: Vec3::from_array(self.min), max: Vec3::from_array(self.max) }
+    }
+
+    fn center(&self) -> Vec3 {
+        Vec3::from_array(self.min) * 0.5 + Vec3::from_array(self.max) * 0.5
+    }
+
+    /// Its rank along an axis: by its centre, then by id. No two of a mesh have the same.
+    pub fn rank(&self, axis: usize) -> u64 {
+        let bits = self.center()[axis].to_bits();
+        // Floats in the order of `total_cmp`, as unsigned numbers.
+        let ordered = if bits >> 31 == 1 { !bits } else { bits | 1 << 31 };
+        u64::from(ordered) << 32 | u64::from(self.id)
+    }
+}
+
+/// A box.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Extent {
+    min: Vec3,
+    max: Vec3,
+}
+
+impl Extent {
+    const EMPTY: Self = Self { min: Vec3::INFINITY, max: Vec3::NEG_INFINITY };
 
     fn union(self, other: Self) -> Self {
         Self { min: self.min.min(other.min), max: self.max.max(other.max) }
     }
 
-    fn centroid(&self) -> Vec3 {
-        self.min * 0.5 + self.max * 0.5
+    fn with(self, p: Vec3) -> Self {
+        Self { min: self.min.min(p), max: self.max.max(p) }
+    }
+
+    fn longest(&self) -> f32 {
+        (self.max - self.min).max_element()
     }
 
     fn cost(&self, margin: f32, count: usize) -> f32 {
         let e = self.max - self.min + margin;
         (e.x * e.y + e.y * e.z + e.z * e.x) * count as f32
     }
+}
+
+/// What must be known of a set before it is divided.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Tally {
+    bounds: Extent,
+    centers: Extent,
+    /// Triangles in the set.
+    pub count: usize,
+}
+
+impl Tally {
+    /// Of no triangles.
+    pub const EMPTY: Self = Self { bounds: Extent::EMPTY, centers: Extent::EMPTY, count: 0 };
+
+    /// Counts a triangle.
+    pub fn add(&mut self, item: &Item) {
+        self.bounds = self.bounds.union(item.bounds());
+        self.centers = self.centers.with(item.center());
+        self.count += 1;
+    }
+
+    /// Of two sets together.
+    pub fn union(self, other: Self) -> Self {
+        Self {
+            bounds: self.bounds.union(other.bounds),
+            centers: self.centers.union(other.centers),
+            count: self.count + other.count,
+        }
+    }
+
+    /// Of some triangles.
+    pub fn of(items: &[Item]) -> Self {
+        in_chunks(items, |tally: &mut Self, item| tally.add(item), Self::EMPTY, Self::union)
+    }
+
+    /// The longest side of the box around the set.
+    pub fn longest(&self) -> f32 {
+        self.bounds.longest()
+    }
+}
+
+/// Sums over a set, of which large ones are worth several threads: `union` must not mind the order.
+fn in_chunks<T: Send + Sync + Clone>(
+    items: &[Item],
+    add: impl Fn(&mut T, &Item) + Sync,
+    empty: T,
+    union: impl Fn(T, T) -> T + Sync,
+) -> T {
+    let sum = |items: &[Item]| {
+        let mut sum = empty.clone();
+        items.iter().for_each(|item| add(&mut sum, item));
+        sum
+    };
+    if items.len() < 2 * PARALLEL {
+        return sum(items);
+    }
+    items.par_chunks(PARALLEL).map(sum).reduce(|| empty.clone(), &union)
+}
+
+/// The triangles of a set, sorted into bins along each axis.
+#[derive(Debug, Clone)]
+pub struct Bins {
+    planes: [Option<Plane>; 3],
+    rows: [[(Extent, usize); BINS]; 3],
+}
+
+impl Bins {
+    /// For the set of `tally`; nothing counted yet.
+    pub fn new(tally: &Tally) -> Self {
+        let extent = tally.centers.max - tally.centers.min;
+        let plane = |axis: usize| {
+            (extent[axis] > 0.0).then(|| Plane {
+                axis,
+                start: tally.centers.min[axis],
+                bins_per_unit: BINS as f32 / extent[axis],
+                bin: 0,
+                cost: f32::INFINITY,
+            })
+        };
+        Self { planes: std::array::from_fn(plane), rows: [[(Extent::EMPTY, 0); BINS]; 3] }
+    }
+
+    /// Counts a triangle.
+    pub fn add(&mut self, item: &Item) {
+        let (bounds, center) = (item.bounds(), item.center());
+        for (plane, row) in self.planes.iter().zip(&mut self.rows) {
+            if let Some(plane) = plane {
+                let bin = &mut row[plane.bin_of(center)];
+                *bin = (bin.0.union(bounds), bin.1 + 1);
+            }
+        }
+    }
+
+    fn union(mut self, other: Self) -> Self {
+        for (bin, more) in self.rows.as_flattened_mut().iter_mut().zip(other.rows.as_flattened()) {
+            *bin = (bin.0.union(more.0), bin.1 + more.1);
+        }
+        self
+    }
+
+    /// The cheapest plane with at least `least` triangles on either side, over all axes and bins.
+    fn best_plane(&self, margin: f32, least: usize) -> Option<Plane> {
+        let mut best: Option<Plane> = None;
+        for (plane, bins) in self.planes.iter().zip(&self.rows) {
+            let Some(mut plane) = *plane else { continue };
+            let mut above = [(Extent::EMPTY, 0usize); BINS + 1];
+            for i in (0..BINS).rev() {
+                above[i] = (above[i + 1].0.union(bins[i].0), above[i + 1].1 + bins[i].1);
+            }
+            let mut below = (Extent::EMPTY, 0usize);
+            for i in 1..BINS {
+                below = (below.0.union(bins[i - 1].0), below.1 + bins[i - 1].1);
+                if below.1 < least || above[i].1 < least {
+                    continue;
+                }
+                let cost = below.0.cost(margin, below.1) + above[i].0.cost(margin, above[i].1);
+                if cost < plane.cost {
+                    (plane.bin, plane.cost) = (i, cost);
+                }
+            }
+            if plane.cost < best.as_ref().map_or(f32::INFINITY, |b| b.cost) {
+                best = Some(plane);
+            }
+        }
+        best
+    }
+}
+
+/// Where a set is divided: triangles in bins below `bin` go left.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Plane {
+    axis: usize,
+    start: f32,
+    bins_per_unit: f32,
+    bin: usize,
+    cost: f32,
+}
+
+impl Plane {
+    fn bin_of(&self, center: Vec3) -> usize {
+        (((center[self.axis] - self.start) * self.bins_per_unit) as usize).min(BINS - 1)
+    }
+
+    /// Whether a triangle goes left.
+    pub fn is_left(&self, item: &Item) -> bool {
+        self.bin_of(item.center()) < self.bin
+    }
+}
+
+/// What becomes of a set.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Step {
+    /// It is a piece.
+    Piece,
+    /// It is cut by a plane.
+    Cut(Plane),
+    /// Its centres lie in a heap: the half of lesser [`Item::rank`] along this axis, rounded down, goes
+    /// left.
+    Halve(usize),
 }
 
 /// When a piece is split further.
@@ -54,123 +252,100 @@ pub struct Limits {
     pub least_triangles: usize,
 }
 
-/// Divides triangles into pieces: every triangle in exactly one, none empty, none above the limit.
-/// The same input gives the same pieces in the same, spatially coherent order.
-pub fn partition(boxes: &[TriangleBox], limits: &Limits) -> Vec<Vec<u32>> {
-    assert!(limits.triangles > 0 && boxes.len() <= u32::MAX as usize);
-    let whole = boxes.iter().fold(TriangleBox::EMPTY, |sum, b| sum.union(*b));
-    let margin = ((whole.max - whole.min).max_element() * MARGIN).max(f32::MIN_POSITIVE);
-    let mut ids: Vec<u32> = (0..boxes.len() as u32).collect();
-    let mut pieces = Vec::new();
-    // Ranges still to be looked at, the next one last.
-    let mut ranges = vec![(0, ids.len())];
-    while let Some((start, end)) = ranges.pop() {
-        let range = &mut ids[start..end];
-        match split(range, boxes, limits, margin) {
-            Some(left) => ranges.extend([(start + left, end), (start, start + left)]),
-            None if range.is_empty() => {}
-            None => {
-                range.sort_unstable();
-                pieces.push(range.to_vec());
-            }
-        }
-    }
-    pieces
+/// How the sets of one mesh are divided.
+#[derive(Debug, Clone, Copy)]
+pub struct Splitter {
+    limits: Limits,
+    margin: f32,
 }
 
-/// Reorders `ids` so that a first part of the returned length is split off; `None` to leave it whole.
-fn split(ids: &mut [u32], boxes: &[TriangleBox], limits: &Limits, margin: f32) -> Option<usize> {
-    let bounds = ids.iter().fold(TriangleBox::EMPTY, |sum, &id| sum.union(boxes[id as usize]));
-    let must = ids.len() > limits.triangles;
-    let sprawls = ids.len() >= 2 * limits.least_triangles.max(1)
-        && (bounds.max - bounds.min).max_element() > limits.extent;
-    if !must && !sprawls {
-        return None;
+impl Splitter {
+    /// For a mesh with this tally.
+    pub fn new(limits: Limits, whole: &Tally) -> Self {
+        assert!(limits.triangles > 0);
+        Self { limits, margin: (whole.longest() * MARGIN).max(f32::MIN_POSITIVE) }
     }
-    let least = if must { 1 } else { limits.least_triangles }.max(ids.len() / LEAST_SHARE).max(1);
-    match best_plane(ids, boxes, margin, least) {
-        Some(plane) if must || plane.cost <= PAYING_COST * bounds.cost(margin, ids.len()) => {
-            let mut left = 0;
-            for i in 0..ids.len() {
-                if plane.bin_of(boxes[ids[i] as usize].centroid()) < plane.bin {
-                    ids.swap(left, i);
-                    left += 1;
+
+    /// What becomes of a set; `bins` counts its triangles, if need be.
+    pub fn step<E>(
+        &self,
+        tally: &Tally,
+        bins: impl FnOnce() -> Result<Bins, E>,
+    ) -> Result<Step, E> {
+        let Self { limits, margin } = self;
+        let must = tally.count > limits.triangles;
+        let sprawls = tally.count >= 2 * limits.least_triangles.max(1)
+            && tally.bounds.longest() > limits.extent;
+        if !must && !sprawls {
+            return Ok(Step::Piece);
+        }
+        let least = if must { 1 } else { limits.least_triangles };
+        let least = least.max(tally.count / LEAST_SHARE).max(1);
+        let paying = PAYING_COST * tally.bounds.cost(*margin, tally.count);
+        Ok(match bins()?.best_plane(*margin, least) {
+            Some(plane) if must || plane.cost <= paying => Step::Cut(plane),
+            _ if must => {
+                let extent = tally.bounds.max - tally.bounds.min;
+                let longest = (0..3).max_by(|&a, &b| extent[a].total_cmp(&extent[b]));
+                Step::Halve(longest.unwrap_or(0))
+            }
+            _ => Step::Piece,
+        })
+    }
+
+    /// Divides a set of a mesh into pieces: every triangle in exactly one, none empty, none above the
+    /// limit. The order of the items does not matter, and the pieces lie in a spatially coherent one.
+    pub fn divide(&self, items: &mut [Item], tally: &Tally) -> Vec<Piece> {
+        debug_assert_eq!(items.len(), tally.count);
+        if items.is_empty() {
+            return Vec::new();
+        }
+        let count = || Ok::<_, std::convert::Infallible>(Self::bins(items, tally));
+        let Ok(step) = self.step(tally, count);
+        let left = match step {
+            Step::Piece => {
+                let mut triangles: Vec<u32> = items.iter().map(|item| item.id).collect();
+                triangles.sort_unstable();
+                return vec![Piece { triangles, longest: tally.longest() }];
+            }
+            Step::Cut(plane) => {
+                let mut left = 0;
+                for i in 0..items.len() {
+                    if plane.is_left(&items[i]) {
+                        items.swap(left, i);
+                        left += 1;
+                    }
                 }
+                left
             }
-            Some(left)
-        }
-        // Centroids in a heap: halve by rank, with the id to break ties.
-        _ if must => {
-            let extent = bounds.max - bounds.min;
-            let axis = (0..3).max_by(|&a, &b| extent[a].total_cmp(&extent[b])).unwrap_or(0);
-            let middle = ids.len() / 2;
-            ids.select_nth_unstable_by(middle, |&a, &b| {
-                let key = |id: u32| boxes[id as usize].centroid()[axis];
-                key(a).total_cmp(&key(b)).then(a.cmp(&b))
-            });
-            Some(middle)
-        }
-        _ => None,
-    }
-}
-
-/// A candidate: triangles in bins below `bin` go left.
-struct Plane {
-    axis: usize,
-    start: f32,
-    bins_per_unit: f32,
-    bin: usize,
-    cost: f32,
-}
-
-impl Plane {
-    fn bin_of(&self, centroid: Vec3) -> usize {
-        (((centroid[self.axis] - self.start) * self.bins_per_unit) as usize).min(BINS - 1)
-    }
-}
-
-/// The cheapest plane with at least `least` triangles on either side, over all axes and bins.
-fn best_plane(ids: &[u32], boxes: &[TriangleBox], margin: f32, least: usize) -> Option<Plane> {
-    let centroids = ids.iter().fold(TriangleBox::EMPTY, |sum, &id| {
-        let c = boxes[id as usize].centroid();
-        sum.union(TriangleBox { min: c, max: c })
-    });
-    let extent = centroids.max - centroids.min;
-    let mut best: Option<Plane> = None;
-    for axis in (0..3).filter(|&axis| extent[axis] > 0.0) {
-        let mut plane = Plane {
-            axis,
-            start: centroids.min[axis],
-            bins_per_unit: BINS as f32 / extent[axis],
-            bin: 0,
-            cost: f32::INFINITY,
+            Step::Halve(axis) => {
+                let middle = items.len() / 2;
+                items.select_nth_unstable_by_key(middle, |item| item.rank(axis));
+                middle
+            }
         };
-        let mut bins = [(TriangleBox::EMPTY, 0usize); BINS];
-        for &id in ids {
-            let b = boxes[id as usize];
-            let bin = &mut bins[plane.bin_of(b.centroid())];
-            *bin = (bin.0.union(b), bin.1 + 1);
-        }
-        let mut above = [(TriangleBox::EMPTY, 0usize); BINS + 1];
-        for i in (0..BINS).rev() {
-            above[i] = (above[i + 1].0.union(bins[i].0), above[i + 1].1 + bins[i].1);
-        }
-        let mut below = (TriangleBox::EMPTY, 0usize);
-        for i in 1..BINS {
-            below = (below.0.union(bins[i - 1].0), below.1 + bins[i - 1].1);
-            if below.1 < least || above[i].1 < least {
-                continue;
-            }
-            let cost = below.0.cost(margin, below.1) + above[i].0.cost(margin, above[i].1);
-            if cost < plane.cost {
-                (plane.bin, plane.cost) = (i, cost);
-            }
-        }
-        if plane.cost < best.as_ref().map_or(f32::INFINITY, |b| b.cost) {
-            best = Some(plane);
-        }
+        let (below, above) = items.split_at_mut(left);
+        let divide = |items: &mut [Item]| self.divide(items, &Tally::of(items));
+        let (mut pieces, mut others) = match tally.count < 2 * PARALLEL {
+            true => (divide(below), divide(above)),
+            false => rayon::join(|| divide(below), || divide(above)),
+        };
+        pieces.append(&mut others);
+        pieces
     }
-    best
+
+    fn bins(items: &[Item], tally: &Tally) -> Bins {
+        in_chunks(items, |bins: &mut Bins, item| bins.add(item), Bins::new(tally), Bins::union)
+    }
+}
+
+/// Part of a mesh.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Piece {
+    /// Ids of its triangles, ascending.
+    pub triangles: Vec<u32>,
+    /// The longest side of its box.
+    pub longest: f32,
 }
 
 #[cfg(test)]
@@ -179,12 +354,28 @@ mod tests {
 
     const LIMITS: Limits = Limits { triangles: 100, extent: f32::INFINITY, least_triangles: 10 };
 
-    fn dot(p: Vec3) -> TriangleBox {
-        TriangleBox { min: p, max: p + 0.1 }
+    fn dot(p: Vec3) -> Extent {
+        Extent { min: p, max: p + 0.1 }
+    }
+
+    fn items(boxes: &[Extent]) -> Vec<Item> {
+        let item = |(id, b): (u32, &Extent)| Item::of(id, [b.min, b.max, b.min]);
+        (0..).zip(boxes).map(item).collect()
+    }
+
+    fn partition(boxes: &[Extent], limits: &Limits) -> Vec<Vec<u32>> {
+        let mut items = items(boxes);
+        let whole = Tally::of(&items);
+        let pieces = Splitter::new(*limits, &whole).divide(&mut items, &whole);
+        for piece in &pieces {
+            let all = piece.triangles.iter().map(|&id| boxes[id as usize]);
+            assert_eq!(piece.longest, all.fold(Extent::EMPTY, Extent::union).longest());
+        }
+        pieces.into_iter().map(|piece| piece.triangles).collect()
     }
 
     /// Every triangle once; the sizes.
-    fn check(boxes: &[TriangleBox], limits: &Limits) -> Vec<usize> {
+    fn check(boxes: &[Extent], limits: &Limits) -> Vec<usize> {
         let pieces = partition(boxes, limits);
         let mut all: Vec<u32> = pieces.concat();
         all.sort_unstable();
@@ -215,7 +406,7 @@ mod tests {
         let sizes = check(&boxes, &LIMITS);
         assert!(sizes.len() <= 80, "{}", sizes.len());
         let area = |piece: &Vec<u32>| {
-            piece.iter().fold(TriangleBox::EMPTY, |s, &id| s.union(boxes[id as usize])).cost(0.0, 1)
+            piece.iter().fold(Extent::EMPTY, |s, &id| s.union(boxes[id as usize])).cost(0.0, 1)
         };
         let mean = partition(&boxes, &LIMITS).iter().map(area).sum::<f32>() / sizes.len() as f32;
         // A cube of 100 unit cells has half the surface 3 * 100^(2/3) = 65.
@@ -228,7 +419,35 @@ mod tests {
         let limits = Limits { extent: 30.0, ..LIMITS };
         assert_eq!(check(&pipe, &LIMITS).len(), 1);
         assert!(check(&pipe, &limits).len() >= 3);
-        let crossing = vec![TriangleBox { min: Vec3::ZERO, max: Vec3::splat(90.0) }; 90];
+        let crossing = vec![Extent { min: Vec3::ZERO, max: Vec3::splat(90.0) }; 90];
         assert_eq!(check(&crossing, &limits).len(), 1);
+    }
+
+    #[test]
+    fn neither_order_nor_threads_matter() {
+        // Enough for several threads, and a heap among them.
+        let at = |i: u32| match i % 5 {
+            0 => Vec3::splat(40.0),
+            _ => Vec3::new((i % 97) as f32, (i % 89) as f32 * 0.7, (i % 83) as f32 * -1.3),
+        };
+        let boxes: Vec<_> = (0..100_000).map(|i| dot(at(i))).collect();
+        let expected = partition(&boxes, &LIMITS);
+        assert!(expected.iter().all(|piece| piece.len() <= 100));
+        let mut shuffled = items(&boxes);
+        (0..shuffled.len()).for_each(|i| shuffled.swap(i, i * 7919 % boxes.len()));
+        let whole = Tally::of(&shuffled);
+        let splitter = Splitter::new(LIMITS, &whole);
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
+        let pieces = pool.install(|| splitter.divide(&mut shuffled, &whole));
+        assert!(pieces.into_iter().map(|piece| piece.triangles).eq(expected));
+    }
+
+    #[test]
+    fn ranks_follow_centres_then_ids() {
+        let xs = [f32::NEG_INFINITY, -2.0, -1e-40, 0.0, 1e-40, 3.0];
+        let ranks = xs.map(|x| Item::of(7, [Vec3::splat(x); 3]).rank(1));
+        assert!(ranks.is_sorted_by(|a, b| a < b), "{ranks:?}");
+        let [a, b] = [1, 2].map(|id| Item::of(id, [Vec3::ONE; 3]).rank(0));
+        assert!(a < b);
     }
 }

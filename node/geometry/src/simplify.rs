@@ -197,7 +197,7 @@ mod tests {
         for target in [1000, 300, 80] {
             let simplified = simplify(&welded, target, 10.0);
             assert!(simplified.triangles.len() <= target + target / 10);
-            let level = welded.with_triangles(&simplified.triangles);
+            let level = welded.with_triangles(&simplified.triangles, simplified.estimate).0;
             let measured = deviation(&level, &ball).max(deviation(&ball, &level));
             let estimate = simplified.estimate;
             assert!(
@@ -262,7 +262,7 @@ mod tests {
         mesh.vertices[80..].iter_mut().for_each(|v| v.color = [0, 0, 255, 255]);
         let welded = weld(&mesh, Weld::within(0.0));
         let simplified = simplify(&welded, 2, 0.5);
-        let level = welded.with_triangles(&simplified.triangles);
+        let level = welded.with_triangles(&simplified.triangles, simplified.estimate).0;
         for color in [[128, 128, 128, 255], [0, 0, 255, 255]] {
             let area: f64 = level
                 .triangles

@@ -5,9 +5,10 @@
 //! reduces whatever an edge-collapse simplifier cannot, at a displacement known exactly.
 
 use crate::hash::FastHash;
+use crate::lists::Lists;
 use crate::mesh::{Mesh, MeshVertex, face_normal};
 use glam::{DVec3, Vec3};
-use std::collections::{HashMap, HashSet};
+use std::collections::HashMap;
 
 /// Steps a texture is divided into: wedges that differ by less are joined where positions are.
 const TEXTURE_STEPS: f32 = 32.0;
@@ -16,6 +17,24 @@ const TEXTURE_STEPS: f32 = 32.0;
 /// has turned so far that its own normal is the better one.
 const LEAST_NORMAL_COSINE: f32 = 0.5;
 
+/// Height over length below which a triangle's own normal says nothing.
+const NEEDLE: f32 = 1e-5;
+/// A normal turns no farther than this for a chord, radians.
+const MOST_TURN: f64 = 1.0;
+/// Rounding of the cosines that are compared.
+const TURN_ROUNDING: f32 = 1e-3;
+
+/// What becomes of triangles that have come to lie in one place.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Repeats {
+    /// One is enough, whichever way they face: it is seen from both sides.
+    One,
+    /// One for each way to face.
+    EachWay,
+    /// All stay: each takes its share of the light that passes.
+    All,
+}
+
 /// How a mesh is welded.
 #[derive(Debug, Clone, Copy)]
 pub struct Weld<'a> {
@@ -23,14 +42,14 @@ pub struct Weld<'a> {
     pub epsilon: f64,
     /// Depth of the hlod that is being made: vertices with a lesser `seam` stay where they are.
     pub depth: u8,
-    /// By surface: whether it is seen from one side only. Surfaces beyond the end are seen from both.
-    pub single_sided: &'a [bool],
+    /// By surface. Of surfaces beyond the end one triangle is enough.
+    pub repeats: &'a [Repeats],
 }
 
 impl Weld<'_> {
     /// Joins by distance alone.
     pub fn within(epsilon: f64) -> Self {
-        Self { epsilon, depth: 0, single_sided: &[] }
+        Self { epsilon, depth: 0, repeats: &[] }
     }
 }
 
@@ -47,34 +66,40 @@ pub struct Welded {
     pub triangles: Vec<[u32; 3]>,
     /// Farthest any vertex was moved; at most epsilon.
     pub displacement: f64,
-    /// Source normals of vertex `v`: `normals[normal_start[v]..normal_start[v + 1]]`.
-    normals: Vec<Vec3>,
+    /// By wedge, the vertex of the mesh that its position is from.
+    sources: Vec<u32>,
+    /// Source normals of vertex `v`, `normals[normal_start[v]..normal_start[v + 1]]`, each with the
+    /// cosine of how far it turned from any face it shaded.
+    normals: Vec<(Vec3, f32)>,
     normal_start: Vec<u32>,
 }
 
 /// Joins positions at most epsilon apart. Each vertex moves to the nearest representative within
 /// reach, or becomes one; representatives are vertices of the mesh: first those that must stay, then
 /// the others in vertex order. Triangles that lose a side vanish, and so do repeats of the same three
-/// vertices; whichever way they face where both sides are seen.
+/// vertices, as `how.repeats` says.
 pub fn weld(mesh: &Mesh, how: Weld<'_>) -> Welded {
     assert!(how.epsilon >= 0.0 && how.epsilon.is_finite());
     let stays: Vec<bool> = mesh.vertices.iter().map(|vertex| vertex.seam < how.depth).collect();
     let (representative, displacement) = representatives(mesh, how.epsilon, &stays);
-    let mut ids: HashMap<(u32, u32, u64), u32, FastHash> = HashMap::default();
+    let mut wedges = Lists::new(mesh.vertices.len());
     let mut welded = Welded {
         vertices: Vec::new(),
         locked: Vec::new(),
         triangles: Vec::new(),
         displacement,
+        sources: Vec::new(),
         normals: Vec::new(),
         normal_start: Vec::new(),
     };
-    let mut sources = Vec::new();
     let vertex_of: Vec<u32> = std::iter::zip(&mesh.vertices, &representative)
         .map(|(vertex, &shared)| {
-            let color = u32::from_le_bytes(vertex.color);
-            let key = (shared, color, attribute_key(vertex, how.epsilon));
-            *ids.entry(key).or_insert_with(|| {
+            let attributes = attribute_key(vertex, how.epsilon);
+            let known = wedges.find(shared, |wedge| {
+                let other = &welded.vertices[wedge as usize];
+                other.color == vertex.color && attribute_key(other, how.epsilon) == attributes
+            });
+            known.unwrap_or_else(|| {
                 let at = &mesh.vertices[shared as usize];
                 welded.vertices.push(MeshVertex {
                     position: at.position,
@@ -82,21 +107,27 @@ pub fn weld(mesh: &Mesh, how: Weld<'_>) -> Welded {
                     ..*vertex
                 });
                 welded.locked.push(stays[shared as usize]);
-                sources.push(shared);
-                welded.vertices.len() as u32 - 1
+                welded.sources.push(shared);
+                wedges.put(shared)
             })
         })
         .collect();
-    let mut seen: HashSet<[u32; 3], FastHash> = HashSet::default();
+    let mut seen = Lists::new(welded.vertices.len());
+    let mut keys: Vec<[u32; 3]> = Vec::new();
     for triangle in &mesh.triangles {
         let corners = triangle.map(|index| vertex_of[index as usize]);
-        let [a, b, c] = corners.map(|vertex| sources[vertex as usize]);
+        let [a, b, c] = corners.map(|vertex| welded.sources[vertex as usize]);
         if a == b || b == c || c == a {
             continue;
         }
         let surface = mesh.vertices[triangle[0] as usize].surface;
-        let one_sided = how.single_sided.get(usize::from(surface)).is_some_and(|&single| single);
-        if seen.insert(repeat_key(corners, one_sided)) {
+        let repeats = how.repeats.get(usize::from(surface)).copied().unwrap_or(Repeats::One);
+        let key = repeat_key(corners, repeats == Repeats::EachWay);
+        let is_kept = repeats == Repeats::All
+            || seen.find(key[0], |triangle| keys[triangle as usize] == key).is_none();
+        if is_kept {
+            seen.put(key[0]);
+            keys.push(key);
             welded.triangles.push(corners);
         }
     }
@@ -117,9 +148,9 @@ fn attribute_key(vertex: &MeshVertex, epsilon: f64) -> u64 {
     mixed << 16 | u64::from(vertex.surface)
 }
 
-/// Corners in an order that repeats share.
-fn repeat_key([a, b, c]: [u32; 3], one_sided: bool) -> [u32; 3] {
-    if one_sided {
+/// Corners in an order that repeats share, the least first.
+fn repeat_key([a, b, c]: [u32; 3], each_way: bool) -> [u32; 3] {
+    if each_way {
         return match a.min(b).min(c) {
             least if least == a => [a, b, c],
             least if least == b => [b, c, a],
@@ -164,49 +195,111 @@ impl Welded {
         vertex_of.iter().for_each(|&vertex| start[vertex as usize + 1] += 1);
         (1..start.len()).for_each(|i| start[i] += start[i - 1]);
         let mut next = start.clone();
-        self.normals = vec![Vec3::ZERO; vertex_of.len()];
-        for (source, &vertex) in mesh.vertices.iter().zip(vertex_of) {
-            self.normals[next[vertex as usize] as usize] = source.normal;
+        self.normals = vec![(Vec3::ZERO, 1.0); vertex_of.len()];
+        for ((source, turned), &vertex) in mesh.vertices.iter().zip(turned(mesh)).zip(vertex_of) {
+            self.normals[next[vertex as usize] as usize] = (source.normal, turned);
             next[vertex as usize] += 1;
         }
         for (vertex, range) in self.vertices.iter_mut().zip(start.windows(2)) {
             let own = &self.normals[range[0] as usize..range[1] as usize];
-            vertex.normal = own.iter().sum::<Vec3>().normalize_or_zero();
+            vertex.normal = own.iter().map(|own| own.0).sum::<Vec3>().normalize_or_zero();
         }
         self.normal_start = start;
     }
 
     /// The mesh of `triangles`, which name vertices of this one. Each corner gets the source normal
     /// of its vertex that is nearest to the triangle's own, whichever way that faces, so that smooth
-    /// parts stay smooth; where none is near, the triangle's own. Triangles without area are left out.
-    pub fn with_triangles(&self, triangles: &[[u32; 3]]) -> Mesh {
+    /// parts stay smooth. Where that is too far from it, the face has left a bend that the normal stood
+    /// for, and gets its own. A chord of a curve as long as `h` that strays by `e` turns from either end
+    /// by `4 e / h` radians. `strayed` is how far the triangles are from those before, at most; few are
+    /// as far, so half of that turn is not too far, beside what the normal turned from its faces
+    /// before. Triangles without area are left out. With it, for each of its vertices, the vertex of the
+    /// mesh welded that its position is from.
+    pub fn with_triangles(&self, triangles: &[[u32; 3]], strayed: f64) -> (Mesh, Vec<u32>) {
         let mut mesh = Mesh::default();
-        let mut ids: HashMap<(u32, [u32; 3]), u32, FastHash> = HashMap::default();
+        let mut sources = Vec::new();
+        let mut made = Lists::new(self.vertices.len());
         for triangle in triangles {
-            let corners = triangle.map(|vertex| self.vertices[vertex as usize].position);
+            let corners = triangle.map(|wedge| self.vertices[wedge as usize].position);
             let Some(face) = face_normal(corners) else { continue };
-            mesh.triangles.push(triangle.map(|vertex| {
-                let normal = self.nearest_normal(vertex as usize, face.as_vec3());
-                *ids.entry((vertex, normal.to_array().map(f32::to_bits))).or_insert_with(|| {
-                    mesh.vertices.push(MeshVertex { normal, ..self.vertices[vertex as usize] });
-                    mesh.vertices.len() as u32 - 1
+            let turn = Turn::of((2.0 * strayed / height(corners)).min(MOST_TURN));
+            mesh.triangles.push(triangle.map(|wedge| {
+                let normal = self.nearest_normal(wedge as usize, face.as_vec3(), turn);
+                let bits = normal.to_array().map(f32::to_bits);
+                let known = made.find(wedge, |vertex| {
+                    mesh.vertices[vertex as usize].normal.to_array().map(f32::to_bits) == bits
+                });
+                known.unwrap_or_else(|| {
+                    mesh.vertices.push(MeshVertex { normal, ..self.vertices[wedge as usize] });
+                    sources.push(self.sources[wedge as usize]);
+                    made.put(wedge)
                 })
             }));
         }
-        mesh
+        (mesh, sources)
     }
 
-    fn nearest_normal(&self, vertex: usize, face: Vec3) -> Vec3 {
+    /// `turn`: how far a normal may turn more than before.
+    fn nearest_normal(&self, vertex: usize, face: Vec3, turn: Turn) -> Vec3 {
         let range = self.normal_start[vertex] as usize..self.normal_start[vertex + 1] as usize;
         let mut best = (LEAST_NORMAL_COSINE, face);
-        for &normal in &self.normals[range] {
+        for &(normal, before) in &self.normals[range] {
             let cosine = normal.dot(face).abs();
-            if cosine > best.0 {
+            let least = before * turn.cos - (1.0 - before * before).max(0.0).sqrt() * turn.sin;
+            if cosine > best.0 && cosine >= least - TURN_ROUNDING {
                 best = (cosine, normal);
             }
         }
         best.1
     }
+}
+
+/// An angle by its cosine and sine, which no library's own rounding reaches.
+#[derive(Debug, Clone, Copy)]
+struct Turn {
+    cos: f32,
+    sin: f32,
+}
+
+impl Turn {
+    /// The turn by about `radians`, at most a right angle: exactly by twice the angle whose tangent is half
+    /// of it.
+    fn of(radians: f64) -> Self {
+        let t = 0.5 * radians;
+        let square = t * t;
+        Self {
+            cos: ((1.0 - square) / (1.0 + square)) as f32,
+            sin: (2.0 * t / (1.0 + square)) as f32,
+        }
+    }
+}
+
+/// By vertex, the cosine of how far its normal turns from any face that it shades, whichever way that
+/// faces.
+fn turned(mesh: &Mesh) -> Vec<f32> {
+    let mut least = vec![1.0f32; mesh.vertices.len()];
+    for triangle in &mesh.triangles {
+        let [a, b, c] = mesh.corners(*triangle);
+        let (ab, ac) = ((b - a).as_vec3(), (c - a).as_vec3());
+        let across = ab.cross(ac);
+        let length = across.length();
+        // A needle faces nowhere.
+        if length <= NEEDLE * ab.length_squared().max(ac.length_squared()) {
+            continue;
+        }
+        let face = across / length;
+        for &v in triangle {
+            let cosine = mesh.vertices[v as usize].normal.dot(face).abs();
+            least[v as usize] = least[v as usize].min(cosine);
+        }
+    }
+    least
+}
+
+/// The least height of a triangle.
+fn height([a, b, c]: [DVec3; 3]) -> f64 {
+    let longest2 = a.distance_squared(b).max(b.distance_squared(c)).max(c.distance_squared(a));
+    ((b - a).cross(c - a).length_squared() / longest2).sqrt()
 }
 
 /// Vertices by place, to find those near a point.
@@ -217,7 +310,7 @@ struct Places<'a> {
     /// A cell is twice as wide as the reach: whatever is within reach lies in the eight cells
     /// nearest. An epsilon too small for 64-bit cell numbers saturates them: slower, still right.
     cells_per_unit: f64,
-    newest: HashMap<[i64; 3], u32, FastHash>,
+    newest: HashMap<(i64, i64, i64), u32, FastHash>,
     older: Vec<u32>,
 }
 
@@ -228,7 +321,7 @@ impl<'a> Places<'a> {
             epsilon,
             origin: mesh.bounds().min,
             cells_per_unit: if epsilon > 0.0 { 0.5 / epsilon } else { 0.0 },
-            newest: HashMap::default(),
+            newest: HashMap::with_capacity_and_hasher(mesh.vertices.len(), FastHash::default()),
             older: vec![u32::MAX; mesh.vertices.len()],
         }
     }
@@ -251,10 +344,10 @@ impl<'a> Places<'a> {
         let (cell, sides) = self.cell(p);
         let mut best = (self.epsilon * self.epsilon, u32::MAX);
         for corner in 0..if self.epsilon > 0.0 { 8 } else { 1 } {
-            let key = std::array::from_fn(|k| {
+            let key: [i64; 3] = std::array::from_fn(|k| {
                 cell[k].wrapping_add(if corner >> k & 1 == 1 { sides[k] } else { 0 })
             });
-            let mut candidate = self.newest.get(&key).copied().unwrap_or(u32::MAX);
+            let mut candidate = self.newest.get(&key.into()).copied().unwrap_or(u32::MAX);
             while candidate != u32::MAX {
                 let d = self.mesh.vertices[candidate as usize].position.distance_squared(p);
                 if (d, candidate) <= best {
@@ -268,7 +361,7 @@ impl<'a> Places<'a> {
 
     fn put(&mut self, index: usize) {
         let (cell, _) = self.cell(self.mesh.vertices[index].position);
-        if let Some(before) = self.newest.insert(cell, index as u32) {
+        if let Some(before) = self.newest.insert(cell.into(), index as u32) {
             self.older[index] = before;
         }
     }
@@ -324,8 +417,10 @@ mod tests {
     fn a_side_that_is_seen_from_one_side_keeps_its_back() {
         let p = [[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]];
         let mesh = mesh_of(&p, &[[0, 1, 2], [2, 1, 0], [1, 2, 0]]);
-        let how = Weld { single_sided: &[true], ..Weld::within(0.0) };
+        let how = Weld { repeats: &[Repeats::EachWay], ..Weld::within(0.0) };
         assert_eq!(weld(&mesh, how).triangles, [[0, 1, 2], [2, 1, 0]]);
+        let how = Weld { repeats: &[Repeats::All], ..Weld::within(0.0) };
+        assert_eq!(weld(&mesh, how).triangles, [[0, 1, 2], [2, 1, 0], [1, 2, 0]]);
     }
 
     #[test]
@@ -408,13 +503,30 @@ mod tests {
     fn corners_keep_smooth_normals_and_turned_faces_get_their_own() {
         let ball = sphere(16, 32);
         let welded = weld(&ball, Weld::within(0.0));
-        let smooth = welded.with_triangles(&welded.triangles);
+        let (smooth, sources) = welded.with_triangles(&welded.triangles, 0.0);
+        for (vertex, source) in smooth.vertices.iter().zip(sources) {
+            assert_eq!(vertex.position, ball.vertices[source as usize].position);
+        }
         assert_eq!(smooth.triangles.len(), ball.triangles.len());
         assert!(smooth.vertices.iter().all(|v| v.normal.dot(v.position.as_vec3()) > 0.999));
         let mut wall = mesh_of(&[[0.0; 3], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]], &[[0, 1, 2]]);
         wall.vertices[0].normal = Vec3::Y;
         let welded = weld(&wall, Weld::within(0.0));
-        let shaded = welded.with_triangles(&welded.triangles);
+        let shaded = welded.with_triangles(&welded.triangles, 0.0).0;
         assert!(shaded.vertices.iter().all(|v| v.normal.y.abs() > 0.999), "{shaded:?}");
+    }
+
+    #[test]
+    fn a_face_that_has_left_its_bend_is_flat_unless_it_may_be_a_chord() {
+        // A floor, and the narrow slope along its edge.
+        let p =
+            [[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, -0.1, -0.05], [1.0, -0.1, -0.05]];
+        let mut bent = mesh_of(&p, &[[0, 1, 2], [0, 3, 1], [3, 4, 1]]);
+        let slope = Vec3::new(0.0, -0.5, 1.0).normalize();
+        bent.vertices[3..].iter_mut().for_each(|vertex| vertex.normal = slope);
+        let welded = weld(&bent, Weld::within(0.0));
+        let normal_of = |strayed| welded.with_triangles(&[[3, 4, 2]], strayed).0.vertices[0].normal;
+        assert!(normal_of(0.0).dot(slope) < 0.95);
+        assert_eq!(normal_of(1.0), slope);
     }
 }

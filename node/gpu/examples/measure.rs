@@ -9,6 +9,7 @@ use rand::{Rng, SeedableRng};
 use scene::backend::{
     Backend, BackendError, BoxQuery, Completion, Draw, Draws, Part, Pass, UNLIMITED, Upload, View,
 };
+use scene::occludee::Rules;
 use std::time::Instant;
 
 const ROUNDS: usize = 7;
@@ -22,7 +23,7 @@ fn main() -> Result<(), BackendError> {
     let size = PictureSize { width: side, height: side };
     println!("{:#?}", adapters());
     let start = Instant::now();
-    let mut backend = WgpuBackend::new(size, Adapter::Any, true, UNLIMITED)?;
+    let mut backend = WgpuBackend::new(size, Adapter::Any, &Rules::default(), UNLIMITED)?;
     println!("{}: started in {:?}", backend.info().driver, start.elapsed());
 
     let bytes = sheet();

@@ -21,6 +21,7 @@ use scene::backend::{
     Backend, BackendError, BoxQuery, Completion, Draw, NO_ITEM, Part, Pass, TextureUpload, Ticket,
     UNLIMITED, UnderWay, Upload, View, light,
 };
+use scene::occludee::Rules;
 use shaders::mirror::Frame;
 use std::collections::VecDeque;
 
@@ -59,10 +60,8 @@ pub(crate) struct Context<'a> {
 }
 
 impl WgpuBackend {
-    /// Opens an adapter and compiles the pipelines of the box tests; those of meshes follow at need.
-    ///
-    /// `inclusive_depth_test` is the rule of the box tests: a box at the very depth of an occluder counts
-    /// as visible, without which an occluder hides its own box; `false` serves tests alone.
+    /// Opens an adapter and compiles the pipelines of the box tests; those of meshes follow at need. Of
+    /// the rules it follows those of the depth test, the bias and the guard.
     ///
     /// `budget_bytes` is the most that meshes and textures take ([`Backend::held_bytes`]). On top come
     /// targets, what is read back, the instances of a part of a pass, and uploads on their way: an eighth
@@ -72,18 +71,19 @@ impl WgpuBackend {
     pub fn new(
         size: PictureSize,
         choice: Adapter,
-        inclusive_depth_test: bool,
+        rules: &Rules,
         budget_bytes: u64,
     ) -> Result<Self, BackendError> {
         let device = Device::open(choice, budget_bytes != UNLIMITED)?;
         let targets = Targets::new(&device, size)?;
-        let pipelines = Pipelines::new(&device, inclusive_depth_test);
+        let pipelines = Pipelines::new(&device, rules);
+        let meshes = MeshPipelines::new(&device, rules);
         let textures = Textures::new(&device);
         device.fault.check()?;
         Ok(Self {
             device,
             pipelines,
-            meshes: MeshPipelines::default(),
+            meshes,
             targets,
             memory: GeometryMemory::default(),
             textures,

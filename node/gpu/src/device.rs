@@ -44,6 +44,8 @@ pub(crate) struct Device {
     pub(crate) driver: String,
     /// Boxes can mark themselves in one draw (`--cull boxes`).
     pub(crate) can_mark_boxes: bool,
+    /// Triangles without an area may leave fragments of undefined depth.
+    pub(crate) needs_guard: bool,
     pub(crate) fault: Fault,
 }
 
@@ -88,6 +90,8 @@ impl Device {
             device,
             queue,
             limits,
+            // Mesa's driver is known to; hardware sets triangles up after it snaps their corners.
+            needs_guard: info.device_type == DeviceType::Cpu,
             driver: driver(&info),
             name: info.name,
             can_mark_boxes,

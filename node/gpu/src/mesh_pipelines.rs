@@ -1,12 +1,14 @@
 //! Pipelines that draw meshes: one a pass, class, vertex layout and turn, compiled at first need.
 //!
 //! What a scene does not hold costs nothing: no pipeline of a scene without textures binds one, and only
-//! what has holes gives up the early depth test.
+//! what has holes gives up the early depth test. On drivers that need the guard all do.
 
+use crate::device::Device;
 use crate::pipelines::{Recipe, attributes, compile};
 use crate::targets::{COLOR_FORMAT, ITEMS_FORMAT};
 use protocol::format::Class;
 use protocol::format::vertex::Layout;
+use scene::occludee::{MESH_BIAS_PX, Rules};
 use shaders::mirror::{Instance, Texturing, Vertex};
 use std::collections::BTreeMap;
 use wgpu::{CompareFunction, FrontFace};
@@ -73,11 +75,27 @@ impl Key {
     }
 }
 
+/// What keeps the depth of geometry from leaving its box (`scene::occludee`).
+#[derive(Debug, Clone, Copy)]
+struct Soundness {
+    bias_px: f64,
+    guards: bool,
+}
+
 /// Those compiled so far.
-#[derive(Default)]
-pub(crate) struct MeshPipelines(BTreeMap<Key, wgpu::RenderPipeline>);
+pub(crate) struct MeshPipelines {
+    sound: Soundness,
+    compiled: BTreeMap<Key, wgpu::RenderPipeline>,
+}
 
 impl MeshPipelines {
+    /// None yet.
+    pub(crate) fn new(device: &Device, rules: &Rules) -> Self {
+        let bias_px = if rules.bias { MESH_BIAS_PX } else { 0.0 };
+        let sound = Soundness { bias_px, guards: rules.guard && device.needs_guard };
+        Self { sound, compiled: BTreeMap::new() }
+    }
+
     /// The pipeline of `key`. `groups`: the layouts of the uniform's group and of the textures'.
     pub(crate) fn get(
         &mut self,
@@ -85,7 +103,8 @@ impl MeshPipelines {
         groups: [&wgpu::BindGroupLayout; 2],
         key: Key,
     ) -> wgpu::RenderPipeline {
-        self.0.entry(key).or_insert_with(|| made(device, groups, key)).clone()
+        let sound = self.sound;
+        self.compiled.entry(key).or_insert_with(|| made(device, groups, key, sound)).clone()
     }
 }
 
@@ -93,9 +112,10 @@ fn made(
     device: &wgpu::Device,
     groups: [&wgpu::BindGroupLayout; 2],
     key: Key,
+    sound: Soundness,
 ) -> wgpu::RenderPipeline {
     let (source, fragment) = match (key.into, key.kind, key.textured) {
-        (Into::Depth, ..) => (shaders::DEPTH, None),
+        (Into::Depth, ..) => (shaders::DEPTH, sound.guards.then_some("fragment_guard")),
         (Into::Picture, Kind::Mask, _) => (shaders::SHADE_MASK, Some("fragment_mask")),
         (Into::Picture, Kind::Opaque, true) => (shaders::SHADE_TEXTURED, Some("fragment_main")),
         (Into::Picture, Kind::Opaque, false) => (shaders::SHADE, Some("fragment_main")),
@@ -142,7 +162,7 @@ fn made(
     let both = [frame, textures];
     let recipe = Recipe {
         label: &format!("{key:?}"),
-        source,
+        source: &shaders::for_meshes(source, sound.guards),
         vertex: "vertex_main",
         fragment,
         target: target.map(|format| wgpu::ColorTargetState {
@@ -154,6 +174,7 @@ fn made(
         cull: (key.faces != Faces::Both).then_some(wgpu::Face::Back),
         front: if key.faces == Faces::Clockwise { FrontFace::Cw } else { FrontFace::Ccw },
         depth_write: !blends,
+        bias_px: sound.bias_px,
         compare: CompareFunction::GreaterEqual,
     };
     compile(device, &recipe)

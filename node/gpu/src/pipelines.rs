@@ -2,6 +2,7 @@
 
 use crate::device::Device;
 use crate::targets::DEPTH_FORMAT;
+use scene::occludee::{BOX_BIAS_PX, Rules};
 use shaders::mirror::{BoxInstance, Field, Frame, Kind};
 use wgpu::{CompareFunction, VertexFormat};
 
@@ -32,13 +33,14 @@ pub(crate) struct Recipe<'a> {
     pub(crate) cull: Option<wgpu::Face>,
     pub(crate) front: wgpu::FrontFace,
     pub(crate) depth_write: bool,
+    /// What depth is moved by, towards the eye: pixels times its steepness.
+    pub(crate) bias_px: f64,
     pub(crate) compare: CompareFunction,
 }
 
 impl Pipelines {
-    /// Compiles them. `inclusive_depth_test` is the rule of the box tests: boxes at the very depth
-    /// of an occluder pass.
-    pub(crate) fn new(device: &Device, inclusive_depth_test: bool) -> Self {
+    /// Compiles them.
+    pub(crate) fn new(device: &Device, rules: &Rules) -> Self {
         let gpu = &device.device;
         let uniform =
             entry(0, wgpu::ShaderStages::VERTEX_FRAGMENT, wgpu::BufferBindingType::Uniform);
@@ -82,7 +84,8 @@ impl Pipelines {
             cull: None,
             front: wgpu::FrontFace::Ccw,
             depth_write: false,
-            compare: if inclusive_depth_test {
+            bias_px: if rules.bias { BOX_BIAS_PX } else { 0.0 },
+            compare: if rules.depth_test_inclusive {
                 CompareFunction::GreaterEqual
             } else {
                 CompareFunction::Greater
@@ -141,7 +144,7 @@ pub(crate) fn compile(device: &wgpu::Device, recipe: &Recipe<'_>) -> wgpu::Rende
             depth_write_enabled: Some(recipe.depth_write),
             depth_compare: Some(recipe.compare),
             stencil: Default::default(),
-            bias: Default::default(),
+            bias: wgpu::DepthBiasState { slope_scale: recipe.bias_px as f32, ..Default::default() },
         }),
         multisample: Default::default(),
         fragment: recipe.fragment.map(|entry_point| wgpu::FragmentState {

@@ -1,15 +1,14 @@
-//! Textures in device memory: one array a side, and where in them each texture lies.
+//! Textures in device memory: all mips of all textures side by side on the pages of one array.
 
 use crate::device::Device;
 use crate::staging::Staging;
 use protocol::format::texture::mip_bytes;
 use scene::backend::{BackendError, LARGEST_STORED_SIDE, TextureUpload, stored_mips};
 use shaders::mirror::TextureRecord;
+use wgpu::BufferBindingType::Storage;
 
-/// Side of the first array, and of each further one twice that of the one before. Smaller textures lie
-/// in the lower mips of the first.
-const FIRST_SIDE: u32 = 16;
-const ARRAYS: usize = (LARGEST_STORED_SIDE / FIRST_SIDE).ilog2() as usize + 1;
+/// Side of a page.
+const PAGE_SIDE: u32 = LARGEST_STORED_SIDE;
 
 /// The bind group of textured pipelines; nothing is made before the first.
 pub(crate) struct Textures {
@@ -22,8 +21,9 @@ pub(crate) struct Textures {
 /// Where textures will lie.
 pub(crate) struct Arranged {
     records: Vec<TextureRecord>,
-    /// Of each array.
-    layers: [u32; ARRAYS],
+    /// Of all mips of all of them.
+    places: Vec<Place>,
+    pages: u32,
 }
 
 impl Textures {
@@ -35,18 +35,17 @@ impl Textures {
             ty,
             count: None,
         };
-        let records = wgpu::BindingType::Buffer {
-            ty: wgpu::BufferBindingType::Storage { read_only: true },
+        let list = wgpu::BindingType::Buffer {
+            ty: Storage { read_only: true },
             has_dynamic_offset: false,
             min_binding_size: None,
         };
-        let array = wgpu::BindingType::Texture {
+        let pages = wgpu::BindingType::Texture {
             sample_type: wgpu::TextureSampleType::Float { filterable: false },
             view_dimension: wgpu::TextureViewDimension::D2Array,
             multisampled: false,
         };
-        let types = std::iter::once(records).chain([array; ARRAYS]);
-        let entries: Vec<_> = (0..).zip(types).map(entry).collect();
+        let entries = [(0, list), (1, list), (2, pages)].map(entry);
         let layout = device.device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
             label: Some("textures"),
             entries: &entries,
@@ -62,10 +61,7 @@ impl Textures {
     /// Group 1 of textured pipelines.
     pub(crate) fn group(&mut self, device: &Device) -> &wgpu::BindGroup {
         let layout = &self.layout;
-        self.group.get_or_insert_with(|| {
-            let arrays = [0; ARRAYS].map(|_| array(device, 1, 1));
-            bind(device, layout, &[], &arrays)
-        })
+        self.group.get_or_insert_with(|| bind(device, layout, &[], &[], &pages(device, 1, 1)))
     }
 
     /// Bytes of what was uploaded.
@@ -88,14 +84,20 @@ impl Textures {
             device.wait_for(None)?;
         }
         self.bytes = arranged.bytes();
-        let arrays: [wgpu::Texture; ARRAYS] =
-            std::array::from_fn(|i| array(device, arranged.side(i), arranged.layers[i].max(1)));
+        let pages = pages(device, PAGE_SIDE, arranged.pages);
         for (record, (texture, bytes)) in arranged.records.iter().zip(textures) {
             let (_, _, mips) = stored_mips(texture, bytes)?;
-            write(device, &arrays[record.array as usize], record, mips);
+            write(
+                device,
+                &pages,
+                record.side,
+                &arranged.places[record.first_place as usize..],
+                mips,
+            );
             staging.wrote(device, mips.len() as u64)?;
         }
-        self.group = Some(bind(device, &self.layout, &arranged.records, &arrays));
+        let places: Vec<u32> = arranged.places.iter().map(|place| place.packed()).collect();
+        self.group = Some(bind(device, &self.layout, &arranged.records, &places, &pages));
         Ok(())
     }
 }
@@ -109,60 +111,88 @@ impl Arranged {
         textures: &[TextureUpload<'_>],
     ) -> Result<Self, BackendError> {
         let mut records = Vec::with_capacity(textures.len());
-        let mut layers = [0u32; ARRAYS];
+        let mut sides = Vec::new();
         for (texture, bytes) in textures {
             let (side, [across, down], _) = stored_mips(texture, bytes)?;
-            let array = side.max(FIRST_SIDE) / FIRST_SIDE;
-            let array = array.ilog2();
-            let layer = &mut layers[array as usize];
             records.push(TextureRecord {
-                array,
-                layer: *layer,
-                first_level: ((FIRST_SIDE << array) / side).ilog2(),
+                first_place: sides.len() as u32,
                 side,
                 wrap_across: across as u32,
                 wrap_down: down as u32,
             });
-            *layer += 1;
+            sides.extend((0..=side.ilog2()).map(|mip| side >> mip));
         }
-        let limit = device.limits.max_texture_array_layers;
-        if let Some((array, count)) = layers.iter().enumerate().find(|&(_, &count)| count > limit) {
-            let side = FIRST_SIDE << array;
-            let reason = format!("{count} textures of side {side}; an array holds {limit}");
+        let (places, count) = placed(&sides);
+        let limit = device.limits.max_texture_array_layers.min(1 << 12);
+        if count > limit {
+            let reason = format!("{count} pages of textures; an array holds {limit}");
             return Err(device.unsupported(reason));
         }
-        Ok(Self { records, layers })
+        Ok(Self { records, places, pages: count.max(1) })
     }
 
-    /// Bytes of the arrays and the records.
+    /// Bytes of the pages and the lists.
     pub(crate) fn bytes(&self) -> u64 {
-        let array = |i: usize| u64::from(self.layers[i].max(1)) * mip_bytes(self.side(i));
-        record_bytes(&self.records) + (0..ARRAYS).map(array).sum::<u64>()
-    }
-
-    /// Side of an array; one without a texture has a pixel, for something must be bound.
-    fn side(&self, array: usize) -> u32 {
-        if self.layers[array] == 0 { 1 } else { FIRST_SIDE << array }
+        buffer_bytes(size_of_val(&self.records[..]))
+            + buffer_bytes(size_of::<u32>() * self.places.len())
+            + u64::from(self.pages) * u64::from(PAGE_SIDE).pow(2) * 4
     }
 }
 
-/// Bytes of the buffer for these; a binding is not empty.
-fn record_bytes(records: &[TextureRecord]) -> u64 {
-    size_of_val(records).max(size_of::<TextureRecord>()) as u64
+/// Bytes of the buffer for a list; a binding is not empty.
+fn buffer_bytes(list: usize) -> u64 {
+    list.max(size_of::<TextureRecord>()) as u64
 }
 
-/// Writes all mips of one texture.
-fn write(device: &Device, array: &wgpu::Texture, record: &TextureRecord, mips: &[u8]) {
+/// Where a mip lies.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+struct Place {
+    x: u32,
+    y: u32,
+    page: u32,
+}
+
+impl Place {
+    /// As the shaders read it.
+    fn packed(self) -> u32 {
+        self.x | self.y << 10 | self.page << 20
+    }
+}
+
+/// Places for squares of these sides, powers of two up to a page's, and the number of pages.
+///
+/// Large ones go first, along the curve that fills a square quarter by quarter (Morton 1966): what lies
+/// before each is then a multiple of its own area, so it finds a whole quarter, and none is wasted.
+fn placed(sides: &[u32]) -> (Vec<Place>, u32) {
+    let mut order: Vec<usize> = (0..sides.len()).collect();
+    order.sort_by_key(|&index| std::cmp::Reverse(sides[index]));
+    let mut places = vec![Place::default(); sides.len()];
+    let page = u64::from(PAGE_SIDE).pow(2);
+    let mut used = 0u64;
+    for index in order {
+        let within = used % page;
+        let every_other_bit = |from: u32| {
+            (0..PAGE_SIDE.ilog2()).fold(0, |sum, bit| sum | (within >> (2 * bit + from) & 1) << bit)
+        };
+        let [x, y] = [0, 1].map(|from| every_other_bit(from) as u32);
+        places[index] = Place { x, y, page: (used / page) as u32 };
+        used += u64::from(sides[index]).pow(2);
+    }
+    (places, used.div_ceil(page) as u32)
+}
+
+/// Writes all mips of one texture to their places.
+fn write(device: &Device, pages: &wgpu::Texture, side: u32, places: &[Place], mips: &[u8]) {
     let mut rest = mips;
-    for mip in 0..=record.side.ilog2() {
-        let side = record.side >> mip;
+    for (mip, place) in (0..=side.ilog2()).zip(places) {
+        let side = side >> mip;
         let (pixels, after) = rest.split_at((mip_bytes(side) - mip_bytes(side / 2)) as usize);
         rest = after;
         device.queue.write_texture(
             wgpu::TexelCopyTextureInfo {
-                texture: array,
-                mip_level: record.first_level + mip,
-                origin: wgpu::Origin3d { x: 0, y: 0, z: record.layer },
+                texture: pages,
+                mip_level: 0,
+                origin: wgpu::Origin3d { x: place.x, y: place.y, z: place.page },
                 aspect: wgpu::TextureAspect::All,
             },
             pixels,
@@ -176,12 +206,12 @@ fn write(device: &Device, array: &wgpu::Texture, record: &TextureRecord, mips: &
     }
 }
 
-/// An array of so many textures with all their mips.
-fn array(device: &Device, side: u32, layers: u32) -> wgpu::Texture {
+/// An array of so many pages.
+fn pages(device: &Device, side: u32, count: u32) -> wgpu::Texture {
     device.device.create_texture(&wgpu::TextureDescriptor {
         label: Some("textures"),
-        size: wgpu::Extent3d { width: side, height: side, depth_or_array_layers: layers },
-        mip_level_count: side.ilog2() + 1,
+        size: wgpu::Extent3d { width: side, height: side, depth_or_array_layers: count },
+        mip_level_count: 1,
         sample_count: 1,
         dimension: wgpu::TextureDimension::D2,
         // Decodes before the shader filters.
@@ -195,26 +225,32 @@ fn bind(
     device: &Device,
     layout: &wgpu::BindGroupLayout,
     records: &[TextureRecord],
-    arrays: &[wgpu::Texture; ARRAYS],
+    places: &[u32],
+    pages: &wgpu::Texture,
 ) -> wgpu::BindGroup {
-    let bytes = bytemuck::cast_slice(records);
-    let buffer = device.device.create_buffer(&wgpu::BufferDescriptor {
-        label: Some("texture records"),
-        size: record_bytes(records),
-        usage: wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_DST,
-        mapped_at_creation: false,
+    let list = |label, bytes: &[u8]| {
+        let buffer = device.device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some(label),
+            size: buffer_bytes(bytes.len()),
+            usage: wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_DST,
+            mapped_at_creation: false,
+        });
+        if !bytes.is_empty() {
+            device.queue.write_buffer(&buffer, 0, bytes);
+        }
+        buffer
+    };
+    let records = list("texture records", bytemuck::cast_slice(records));
+    let places = list("texture places", bytemuck::cast_slice(places));
+    let view = pages.create_view(&wgpu::TextureViewDescriptor {
+        dimension: Some(wgpu::TextureViewDimension::D2Array),
+        ..Default::default()
     });
-    if !bytes.is_empty() {
-        device.queue.write_buffer(&buffer, 0, bytes);
-    }
-    let views = arrays.each_ref().map(|array| {
-        array.create_view(&wgpu::TextureViewDescriptor {
-            dimension: Some(wgpu::TextureViewDimension::D2Array),
-            ..Default::default()
-        })
-    });
-    let views = views.iter().map(wgpu::BindingResource::TextureView);
-    let resources = std::iter::once(buffer.as_entire_binding()).chain(views);
+    let resources = [
+        records.as_entire_binding(),
+        places.as_entire_binding(),
+        wgpu::BindingResource::TextureView(&view),
+    ];
     let entries: Vec<_> = (0..)
         .zip(resources)
         .map(|(binding, resource)| wgpu::BindGroupEntry { binding, resource })
@@ -224,4 +260,40 @@ fn bind(
         layout,
         entries: &entries,
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::collections::HashSet;
+
+    #[test]
+    fn mips_fill_pages_without_overlap_or_gap() {
+        assert_eq!(placed(&[]), (vec![], 0));
+        assert_eq!(placed(&[PAGE_SIDE; 2]).1, 2);
+        let chains = [1024, 1, 512, 64, 512, 2, 256, 1024];
+        let sides: Vec<u32> = chains
+            .iter()
+            .flat_map(|side: &u32| (0..=side.ilog2()).map(move |m| side >> m))
+            .collect();
+        let (places, pages) = placed(&sides);
+        let mut taken = HashSet::new();
+        for (place, &side) in places.iter().zip(&sides) {
+            assert!(place.x % side == 0 && place.y % side == 0, "{place:?} {side}");
+            assert!(
+                place.x + side <= PAGE_SIDE && place.y + side <= PAGE_SIDE && place.page < pages
+            );
+            for y in place.y..place.y + side {
+                assert!((place.x..place.x + side).all(|x| taken.insert((x, y, place.page))));
+            }
+        }
+        assert_eq!(taken.len().div_ceil(PAGE_SIDE.pow(2) as usize), pages as usize);
+    }
+
+    #[test]
+    fn a_place_keeps_its_parts_apart() {
+        let last = Place { x: 1023, y: 1023, page: 4095 };
+        assert_eq!(last.packed(), u32::MAX);
+        assert_eq!(Place { x: 1, y: 2, page: 3 }.packed(), 1 | 2 << 10 | 3 << 20);
+    }
 }

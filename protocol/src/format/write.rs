@@ -176,7 +176,8 @@ impl SceneWriter {
         for (id, blob) in writer.so_far.blobs.iter().enumerate() {
             content.resize(blob.bytes.next_multiple_of(ALIGNMENT) as usize, 0);
             writer.file.get_ref().read_exact(&mut content).map_err(|e| bad(e.to_string()))?;
-            if crc32c::crc32c(&content[..blob.bytes as usize]) != blob.crc {
+            let (own, padding) = content.split_at(blob.bytes as usize);
+            if crc32c::crc32c(own) != blob.crc || padding.iter().any(|&byte| byte != 0) {
                 return Err(bad(format!("blob {id} is damaged")));
             }
             writer.hasher.update(&content);

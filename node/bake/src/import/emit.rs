@@ -6,7 +6,7 @@ use std::path::Path;
 use super::ImportLimits;
 use super::builder::Draft;
 use super::error::ImportError;
-use crate::source::{Alpha, Imported, Sink, SourceObject, Surface, Texture};
+use crate::source::{Alpha, Imported, Sink, SourceMesh, SourceObject, Surface, Texture};
 
 /// Hands meshes and textures to a sink and counts them.
 pub(super) struct Emitter<'a> {
@@ -33,6 +33,20 @@ impl<'a> Emitter<'a> {
 
     /// Hands out a mesh; its number.
     pub(super) fn mesh(&mut self, draft: Draft) -> Result<usize, ImportError> {
+        let mesh = self.numbered(draft)?;
+        self.sink.mesh(mesh).map_err(|source| self.refused(source))?;
+        self.meshes += 1;
+        Ok(self.meshes - 1)
+    }
+
+    /// Hands out more triangles of the mesh that was handed out last.
+    pub(super) fn more(&mut self, draft: Draft) -> Result<(), ImportError> {
+        let part = self.numbered(draft)?;
+        self.sink.more(part).map_err(|source| self.refused(source))
+    }
+
+    /// The mesh of a draft, with the import's numbers of its surfaces.
+    fn numbered(&mut self, draft: Draft) -> Result<SourceMesh, ImportError> {
         let Draft { mut mesh, surfaces } = draft;
         let numbers = surfaces
             .into_iter()
@@ -42,9 +56,7 @@ impl<'a> Emitter<'a> {
             section.surface = numbers[usize::from(section.surface)];
         }
         self.triangles += mesh.indices.len() as u64;
-        self.sink.mesh(mesh).map_err(|source| self.refused(source))?;
-        self.meshes += 1;
-        Ok(self.meshes - 1)
+        Ok(mesh)
     }
 
     /// Hands out a texture; its number.
@@ -103,7 +115,7 @@ fn key(surface: Surface) -> (u8, u32, bool, Option<u32>) {
 mod tests {
     use super::*;
     use crate::import::ImportErrorKind;
-    use crate::source::{Section, SourceMesh};
+    use crate::source::Section;
 
     /// Takes a number of meshes, then is full.
     struct Full(usize, Vec<SourceMesh>);
@@ -115,6 +127,10 @@ mod tests {
             }
             self.1.push(mesh);
             Ok(())
+        }
+
+        fn more(&mut self, part: SourceMesh) -> std::io::Result<()> {
+            self.mesh(part)
         }
 
         fn texture(&mut self, _: Texture) -> std::io::Result<()> {
@@ -138,6 +154,7 @@ mod tests {
         let error = out.mesh(draft(Vec::new())).unwrap_err();
         assert_eq!(error.kind(), ImportErrorKind::Io);
         assert!(error.to_string().starts_with("a.glb: "), "{error}");
+        assert_eq!(out.more(draft(Vec::new())).unwrap_err().kind(), ImportErrorKind::Io);
     }
 
     #[test]

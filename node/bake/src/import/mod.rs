@@ -37,11 +37,13 @@ use crate::source::{Source, SourceMesh, Texture};
 pub struct ImportLimits {
     /// Pixels along each side of the largest texture: a power of two. Larger pictures are reduced.
     pub texture_side: u32,
+    /// Bytes of memory to work in. What is read does not depend on it.
+    pub memory: u64,
 }
 
 impl Default for ImportLimits {
     fn default() -> Self {
-        Self { texture_side: 1024 }
+        Self { texture_side: 1024, memory: 1 << 30 }
     }
 }
 
@@ -88,6 +90,11 @@ struct Collect<'a>(&'a mut Source);
 impl Sink for Collect<'_> {
     fn mesh(&mut self, mesh: SourceMesh) -> std::io::Result<()> {
         self.0.meshes.push(mesh);
+        Ok(())
+    }
+
+    fn more(&mut self, part: SourceMesh) -> std::io::Result<()> {
+        self.0.meshes.last_mut().expect("a mesh was taken").append(part);
         Ok(())
     }
 

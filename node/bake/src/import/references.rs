@@ -41,18 +41,45 @@ pub fn references(path: &Path) -> Result<Vec<PathBuf>, ImportError> {
 fn in_gltf(path: &Path) -> std::io::Result<Vec<PathBuf>> {
     let mut file = File::open(path)?;
     let mut head = [0u8; 20];
-    let json = if file.read_exact(&mut head).is_ok() && head.starts_with(b"glTF") {
+    let (start, length) = if file.read_exact(&mut head).is_ok() && head.starts_with(b"glTF") {
         // The length of a GLB's first chunk (glTF 2.0, section 4.4.3).
-        let length = u32::from_le_bytes([head[12], head[13], head[14], head[15]]);
-        serde_json::from_reader(BufReader::new(file.take(u64::from(length))))
+        (20, u64::from(u32::from_le_bytes([head[12], head[13], head[14], head[15]])))
     } else {
-        file.seek(SeekFrom::Start(0))?;
-        serde_json::from_reader(BufReader::new(file))
+        (0, u64::MAX)
     };
+    file.seek(SeekFrom::Start(start))?;
+    // Most files name no other, and parsing a large one takes as long as all of its import.
+    if !may_name_files(&mut file.by_ref().take(length))? {
+        return Ok(Vec::new());
+    }
+    file.seek(SeekFrom::Start(start))?;
+    let json = serde_json::from_reader(BufReader::new(file.take(length)));
     let Ok(Names { buffers, images }) = json else { return Ok(Vec::new()) };
     let names = buffers.into_iter().chain(images).filter_map(|name| name.uri);
     let external = names.filter(|uri| !uri.starts_with("data:"));
     Ok(external.filter_map(|uri| Folder { file: path }.find(&uri)).collect())
+}
+
+/// Whether a JSON text can have a member "uri": the word stands there, or letters are escaped.
+fn may_name_files(json: &mut impl Read) -> std::io::Result<bool> {
+    const WORD: &[u8] = b"\"uri\"";
+    let mut block = vec![0; 1 << 16];
+    // The end of what was read before, lest the word be cut in two.
+    let mut kept = 0;
+    loop {
+        let read = json.read(&mut block[kept..])?;
+        if read == 0 {
+            return Ok(false);
+        }
+        let text = &block[..kept + read];
+        let is_escape = |two: &[u8]| two == b"\\u";
+        if text.windows(WORD.len()).any(|word| word == WORD) || text.windows(2).any(is_escape) {
+            return Ok(true);
+        }
+        let end = text.len();
+        kept = end.min(WORD.len() - 1);
+        block.copy_within(end - kept..end, 0);
+    }
 }
 
 fn in_obj(path: &Path) -> std::io::Result<Vec<PathBuf>> {
@@ -123,6 +150,13 @@ mod tests {
         };
         let json = br#"{"images":[{"uri":"a%20b.png"},{"uri":"data:,x"},{"uri":"../up.png"}]}"#;
         assert_eq!(names(&write("s.gltf", json)), ["a b.png"]);
+        let escaped = br#"{"images":[{"\u0075ri":"k.png"}]}"#;
+        assert_eq!(names(&write("t.gltf", escaped)), ["k.png"]);
+        // The word may lie on the border of two blocks.
+        for pad in 65_515..65_535 {
+            let long = format!("{}{}", " ".repeat(pad), r#"{"images":[{"uri":"k.png"}]}"#);
+            assert_eq!(names(&write("u.gltf", long.as_bytes())), ["k.png"], "{pad}");
+        }
         let mut glb = b"glTF\x02\0\0\0\0\0\0\0".to_vec();
         glb.extend((json.len() as u32).to_le_bytes());
         glb.extend(b"JSON");

@@ -17,7 +17,7 @@ pub(super) fn collect(
     import: impl FnOnce(Emitter<'_>) -> Result<Imported, ImportError>,
 ) -> Result<Source, ImportError> {
     let mut whole = Source::default();
-    let limits = ImportLimits { texture_side: TEXTURE_SIDE };
+    let limits = ImportLimits { texture_side: TEXTURE_SIDE, ..ImportLimits::default() };
     let mut sink = Collect(&mut whole);
     let imported = import(Emitter::new(Path::new(file), limits, &mut sink))?;
     whole.complete(imported);

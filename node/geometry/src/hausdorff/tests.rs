@@ -58,7 +58,7 @@ fn moved(mesh: &Mesh, scale: f64, by: f64) -> Mesh {
 }
 
 fn far(from: &Mesh, to: &Surface, limit: f64) -> Vec<u32> {
-    directed_but(from, to, &TIGHT, limit).1
+    directed_but(from, to, &[], &TIGHT, limit).1
 }
 
 #[test]
@@ -187,7 +187,7 @@ fn what_is_not_told_to_be_far_is_bounded() {
     let mut rng = StdRng::seed_from_u64(7);
     let (from, to) = (heap(&mut rng, 60), Surface::new(&heap(&mut rng, 40)));
     for limit in [-1.0, 0.0, 0.05, 0.2, 0.5, 3.0] {
-        let (rest, found) = directed_but(&from, &to, &TIGHT, limit);
+        let (rest, found) = directed_but(&from, &to, &[], &TIGHT, limit);
         for (t, id) in from.triangles.iter().zip(0..) {
             let alone = Mesh { triangles: vec![*t], ..from.clone() };
             let proven = directed(&alone, &to, &Goal { slack: 0.01, ..TIGHT });
@@ -202,4 +202,89 @@ fn what_is_not_told_to_be_far_is_bounded() {
             }
         }
     }
+}
+
+#[test]
+fn sheets_nearer_to_each_other_than_boxes_can_tell_are_told_apart() {
+    let mut rng = StdRng::seed_from_u64(8);
+    for scale in [1e-6, 1.0, 1e6] {
+        let mut positions = Vec::new();
+        for _ in 0..200 {
+            // On both sides of the middle, where coordinates have digits to lose.
+            let z: f64 = rng.random_range(0.7..0.7 + 1e-7)
+                * if positions.len() % 2 == 0 { 1.0 } else { -1.0 };
+            positions.extend(
+                [[-1.0, -1.0, z], [3.0, -1.0, z], [-1.0, 3.0, z]].map(|p| p.map(|c| c * scale)),
+            );
+        }
+        let triangles: Vec<[u32; 3]> = (0..200).map(|i| [3 * i, 3 * i + 1, 3 * i + 2]).collect();
+        let mesh = mesh_of(&positions, &triangles);
+        let surface = Surface::new(&mesh);
+        for _ in 0..200 {
+            let mut p = DVec3::from_array(std::array::from_fn(|_| rng.random_range(-0.5..0.5)));
+            p.z = 0.7 + rng.random_range(-2e-6..2e-6);
+            let p = p * scale;
+            let (found, nearest) = (surface.distance(p, 0.0, &mut 0), brute(p, &mesh));
+            assert!((found - nearest).abs() <= 1e-13 * scale, "{found} {nearest} {scale}");
+        }
+    }
+}
+
+/// A bumpy ball, and what is left of it when some vertices have moved into others.
+fn collapsed(rng: &mut StdRng, share: f64) -> (Mesh, Mesh) {
+    let mut ball = sphere(12, 18);
+    for vertex in &mut ball.vertices {
+        vertex.position *= 1.0 + 0.05 * (vertex.position.x * 9.0).sin();
+    }
+    let mut into: Vec<u32> = (0..ball.vertices.len() as u32).collect();
+    for triangle in &ball.triangles {
+        if rng.random_bool(share) {
+            into[triangle[0] as usize] = into[triangle[1] as usize];
+        }
+    }
+    let mut coarse = ball.clone();
+    coarse.triangles = ball.triangles.iter().map(|t| t.map(|v| into[v as usize])).collect();
+    coarse.triangles.retain(|[a, b, c]| a != b && b != c && c != a);
+    (ball, coarse)
+}
+
+#[test]
+fn places_change_no_bound_be_they_right_or_wrong() {
+    let mut rng = StdRng::seed_from_u64(9);
+    for (scale, by) in [(1.0, 0.0), (1e-6, 0.0), (1e6, 0.0), (1.0, 1e7)] {
+        for share in [0.0, 0.05, 0.3] {
+            let (fine, coarse) = collapsed(&mut rng, share);
+            let (fine, coarse) = (moved(&fine, scale, by), moved(&coarse, scale, by));
+            let count = fine.vertices.len() as u32;
+            let right: Vec<u32> = (0..count).collect();
+            let aside: Vec<u32> = (0..count).map(|v| (v + 1) % count).collect();
+            let any: Vec<u32> = (0..count).map(|_| rng.random_range(0..2 * count)).collect();
+            for (from, to) in [(&fine, &coarse), (&coarse, &fine)] {
+                let plain = Surface::new(to);
+                let seen = sampled(from, &plain, 12);
+                for (own, others) in
+                    [(&right, &right), (&aside, &right), (&right, &any), (&any, &any)]
+                {
+                    let surface = Surface::with_places(to, others);
+                    for goal in [TIGHT, Goal { enough: 0.02 * scale, slack: 0.5, budget: 3000 }] {
+                        let (found, _) = directed_but(from, &surface, own, &goal, f64::INFINITY);
+                        let close = 1e-12 * scale + 1e-15 * by;
+                        assert!(found.upper >= seen - close, "{found:?} {seen}");
+                        let most = goal.enough.max(found.lower * (1.0 + goal.slack)) + close;
+                        assert!(found.upper <= most * (1.0 + 1e-9), "{found:?} {seen} {goal:?}");
+                        assert!(found.lower <= seen + 0.1 * scale, "{found:?} {seen}");
+                    }
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn an_unchanged_surface_is_nowhere_off() {
+    let ball = moved(&sphere(12, 18), 1.0, 1e7);
+    let places: Vec<u32> = (0..ball.vertices.len() as u32).collect();
+    let surface = Surface::with_places(&ball, &places);
+    let (found, _) = directed_but(&ball, &surface, &places, &TIGHT, f64::INFINITY);
+    assert!(found.upper < 1e-11 && found.lower == 0.0, "{found:?}");
 }

@@ -7,6 +7,7 @@ use protocol::settings::Cull;
 use rand::SeedableRng;
 use rand::rngs::StdRng;
 use scene::backend::{Backend, BoxQuery, Completion, Draw, Part, Pass, View};
+use scene::occludee::Rules;
 
 fn scene(random: &mut StdRng, boxes: usize) -> (Vec<Draw>, Vec<BoxQuery>) {
     let walls = (0..60).map(|item| cube_over(0, item, &random_box(random, 96..400, 120))).collect();
@@ -93,7 +94,8 @@ fn every_corner_of_every_face_counts() {
 fn an_exclusive_depth_test_hides_an_occluder_by_itself() {
     let own = BoxQuery { min: [-0.5, -0.5, -3.0], max: [0.5, 0.5, -2.0] };
     for inclusive in [true, false] {
-        let Some(mut backend) = backend_with(65, 65, inclusive) else { return };
+        let rules = Rules { depth_test_inclusive: inclusive, ..Rules::default() };
+        let Some(mut backend) = backend_with(65, 65, &rules) else { return };
         Mesh::cube(0).upload(&mut backend, 0);
         occluders(&mut backend, view(65, 65), &[cube_over(0, 0, &own)]);
         for method in [Cull::Queries, Cull::Boxes] {

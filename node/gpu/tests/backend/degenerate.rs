@@ -6,6 +6,7 @@ use protocol::format::Blob;
 use protocol::id::BlobId;
 use protocol::settings::{Cull, PictureSize};
 use scene::backend::{Backend, BackendError, BoxQuery, NO_ITEM, UNLIMITED, Upload};
+use scene::occludee::Rules;
 
 #[test]
 fn nothing_gives_sky_and_no_answers() {
@@ -72,7 +73,8 @@ fn impossible_sizes_are_refused() {
         return;
     }
     for (width, height) in [(0, 4), (4, 0), (1 << 20, 4), (4, u32::MAX)] {
-        let made = WgpuBackend::new(PictureSize { width, height }, Adapter::Any, true, UNLIMITED);
+        let size = PictureSize { width, height };
+        let made = WgpuBackend::new(size, Adapter::Any, &Rules::default(), UNLIMITED);
         assert!(matches!(made.err(), Some(BackendError::Unsupported { .. })), "{width}x{height}");
     }
 }

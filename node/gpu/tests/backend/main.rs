@@ -9,4 +9,5 @@ mod materials;
 mod memory;
 mod parts;
 mod pictures;
+mod slivers;
 mod support;

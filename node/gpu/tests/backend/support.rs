@@ -10,6 +10,7 @@ use scene::backend::{
     Backend, BackendError, BoxQuery, Completion, Draw, Draws, Part, Pass, Picture, UNLIMITED,
     Upload, View,
 };
+use scene::occludee::Rules;
 
 pub(crate) const NEAR: f32 = 0.125;
 
@@ -91,24 +92,24 @@ pub(crate) fn vertex(grid: [u32; 3], normal: [f32; 3], color: u32) -> Vertex {
 
 /// A backend, or none where tests are to skip.
 pub(crate) fn backend(width: u32, height: u32) -> Option<WgpuBackend> {
-    backend_with(width, height, true)
+    backend_with(width, height, &Rules::default())
 }
 
 /// One that holds at most `budget` bytes.
 pub(crate) fn backend_within(width: u32, height: u32, budget: u64) -> Option<WgpuBackend> {
-    opened(width, height, true, budget)
+    opened(width, height, &Rules::default(), budget)
 }
 
-pub(crate) fn backend_with(width: u32, height: u32, inclusive: bool) -> Option<WgpuBackend> {
-    opened(width, height, inclusive, UNLIMITED)
+pub(crate) fn backend_with(width: u32, height: u32, rules: &Rules) -> Option<WgpuBackend> {
+    opened(width, height, rules, UNLIMITED)
 }
 
-fn opened(width: u32, height: u32, inclusive: bool, budget: u64) -> Option<WgpuBackend> {
+fn opened(width: u32, height: u32, rules: &Rules, budget: u64) -> Option<WgpuBackend> {
     let wish = std::env::var("GPU_TESTS").unwrap_or_else(|_| "auto".into());
     if wish == "off" {
         return None;
     }
-    match WgpuBackend::new(PictureSize { width, height }, Adapter::Any, inclusive, budget) {
+    match WgpuBackend::new(PictureSize { width, height }, Adapter::Any, rules, budget) {
         Ok(backend) => Some(backend),
         Err(BackendError::NoAdapter(why)) if wish != "require" => {
             eprintln!("skipped: no graphics adapter: {why}");

@@ -1,7 +1,9 @@
 //! The one seam between deciding what to draw and drawing it: data both ways.
 //!
 //! Coordinates reaching a backend are relative to the eye, in scene axes. Depth is reversed
-//! (1 at the near plane, 0 at infinity) in 32-bit floats, cleared to 0, tested with GreaterEqual.
+//! (1 at the near plane, 0 at infinity) in 32-bit floats, cleared to 0, tested with GreaterEqual. A backend
+//! whose depth does not stem from the corners that decide coverage moves it by the biases of
+//! [`crate::occludee`], in all passes alike.
 
 pub mod cpu;
 pub mod light;

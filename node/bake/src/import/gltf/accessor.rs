@@ -6,7 +6,7 @@
 use std::ops::Range;
 
 use super::buffers::{Resources, Span};
-use super::document::{AccessorDef, SparseDef, label};
+use super::document::{AccessorDef, ElementType, SparseDef, label};
 use crate::import::error::ImportError;
 
 /// How one number of an element is stored.
@@ -163,8 +163,11 @@ impl Accessor {
         let (component, lanes) = element_type(def)
             .filter(|&(component, lanes)| role.fits(component, lanes))
             .ok_or_else(|| {
-                let found =
-                    format!("component type {}, type {:?}", def.component_type, def.element_type);
+                let found = format!(
+                    "component type {}, type {:?}",
+                    def.component_type,
+                    def.element_type.name()
+                );
                 resources.broken(&at, format!("{found} cannot be used as {role:?}"))
             })?;
         let element_bytes = component.bytes() * lanes;
@@ -259,13 +262,7 @@ impl Elements {
 }
 
 fn element_type(def: &AccessorDef) -> Option<(Component, usize)> {
-    let lanes = match def.element_type.as_str() {
-        "SCALAR" => 1,
-        "VEC2" => 2,
-        "VEC3" => 3,
-        "VEC4" => 4,
-        _ => return None,
-    };
+    let ElementType::Lanes(lanes) = def.element_type else { return None };
     Some((Component::from_code(def.component_type)?, lanes))
 }
 

@@ -56,8 +56,8 @@ pub(super) struct Node {
     pub(super) name: Option<String>,
     pub(super) mesh: Option<usize>,
     pub(super) children: Vec<usize>,
-    /// Column by column.
-    pub(super) matrix: Option<[f64; 16]>,
+    /// Column by column. Apart, as whatever few of many things have.
+    pub(super) matrix: Option<Box<[f64; 16]>>,
     pub(super) translation: Option<[f64; 3]>,
     /// Quaternion x, y, z, w.
     pub(super) rotation: Option<[f64; 4]>,
@@ -69,7 +69,7 @@ pub(super) struct Node {
 #[serde(default)]
 pub(super) struct NodeExtensions {
     #[serde(rename = "EXT_mesh_gpu_instancing")]
-    pub(super) instancing: Option<Instancing>,
+    pub(super) instancing: Option<Box<Instancing>>,
 }
 
 #[derive(Default, Deserialize)]
@@ -87,12 +87,46 @@ pub(super) struct Mesh {
 
 #[derive(Deserialize)]
 pub(super) struct Primitive {
-    pub(super) attributes: BTreeMap<String, usize>,
+    pub(super) attributes: Attributes,
     pub(super) indices: Option<usize>,
     pub(super) material: Option<usize>,
     pub(super) mode: Option<u64>,
     #[serde(default)]
     pub(super) targets: Vec<IgnoredAny>,
+}
+
+/// Accessors of the attributes that are read; those of other names are ignored. No table of names: a
+/// scene may have hundreds of thousands of primitives.
+#[derive(Default, Deserialize)]
+#[serde(from = "BTreeMap<String, usize>")]
+pub(super) struct Attributes {
+    pub(super) position: Option<usize>,
+    pub(super) normal: Option<usize>,
+    pub(super) color: Option<usize>,
+    /// By number of the set.
+    tex_coords: Vec<(usize, usize)>,
+}
+
+impl Attributes {
+    /// Texture coordinates of a set.
+    pub(super) fn tex_coord(&self, set: usize) -> Option<usize> {
+        self.tex_coords.iter().find(|coords| coords.0 == set).map(|coords| coords.1)
+    }
+}
+
+impl From<BTreeMap<String, usize>> for Attributes {
+    fn from(named: BTreeMap<String, usize>) -> Self {
+        let set = |name: &str| {
+            let digits = name.strip_prefix("TEXCOORD_")?;
+            digits.parse().ok().filter(|set: &usize| set.to_string() == digits)
+        };
+        Self {
+            position: named.get("POSITION").copied(),
+            normal: named.get("NORMAL").copied(),
+            color: named.get("COLOR_0").copied(),
+            tex_coords: named.iter().filter_map(|(name, &a)| Some((set(name)?, a))).collect(),
+        }
+    }
 }
 
 #[derive(Default, Deserialize)]
@@ -184,11 +218,43 @@ pub(super) struct AccessorDef {
     pub(super) byte_offset: usize,
     pub(super) component_type: u64,
     #[serde(rename = "type")]
-    pub(super) element_type: String,
+    pub(super) element_type: ElementType,
     pub(super) count: usize,
     #[serde(default)]
     pub(super) normalized: bool,
-    pub(super) sparse: Option<SparseDef>,
+    pub(super) sparse: Option<Box<SparseDef>>,
+}
+
+/// What an accessor's elements are.
+#[derive(Deserialize)]
+#[serde(from = "String")]
+pub(super) enum ElementType {
+    /// So many lanes, 1 to 4.
+    Lanes(usize),
+    /// What no attribute is made of.
+    Other(Box<str>),
+}
+
+/// Names by number of lanes, from 1 on.
+const LANES: [&str; 4] = ["SCALAR", "VEC2", "VEC3", "VEC4"];
+
+impl From<String> for ElementType {
+    fn from(name: String) -> Self {
+        match LANES.iter().position(|&known| known == name) {
+            Some(place) => Self::Lanes(place + 1),
+            None => Self::Other(name.into()),
+        }
+    }
+}
+
+impl ElementType {
+    /// As files spell it.
+    pub(super) fn name(&self) -> &str {
+        match self {
+            Self::Lanes(lanes) => LANES[lanes - 1],
+            Self::Other(name) => name,
+        }
+    }
 }
 
 #[derive(Deserialize)]
@@ -231,15 +297,15 @@ pub(super) struct BufferView {
 #[serde(default)]
 pub(super) struct ViewExtensions {
     #[serde(rename = "EXT_meshopt_compression")]
-    ext_meshopt: Option<Compression>,
+    ext_meshopt: Option<Box<Compression>>,
     #[serde(rename = "KHR_meshopt_compression")]
-    khr_meshopt: Option<Compression>,
+    khr_meshopt: Option<Box<Compression>>,
 }
 
 impl ViewExtensions {
     /// How the view is compressed, if it is.
     pub(super) fn compression(&self) -> Option<&Compression> {
-        self.khr_meshopt.as_ref().or(self.ext_meshopt.as_ref())
+        self.khr_meshopt.as_deref().or(self.ext_meshopt.as_deref())
     }
 }
 

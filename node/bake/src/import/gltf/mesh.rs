@@ -5,11 +5,12 @@ use std::ops::Range;
 
 use super::accessor::{Accessor, Elements, Role};
 use super::buffers::Resources;
-use super::document::{Mesh, Primitive, label};
+use super::document::{Primitive, label};
 use super::material::{Mapping, Material};
 use super::triangles::Topology;
 use crate::import::builder::{Builder, Draft, Vertices};
 use crate::import::error::ImportError;
+use crate::source::PART_TRIANGLES;
 
 /// What was left out or mended while meshes were read; sums over any number of meshes.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -45,20 +46,98 @@ impl Tally {
     }
 }
 
-/// Reads mesh `number`; `material` gives what a primitive's material lends.
+/// Some triangles of a mesh that are read at once: several small primitives, or a stretch of a large
+/// one. How a mesh is divided depends on the file alone.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Portion {
+    /// Number of the mesh.
+    pub(super) mesh: usize,
+    primitives: Range<usize>,
+    /// Of each primitive: all, unless there is one alone.
+    triangles: Range<usize>,
+    /// Corners it has as far as its claims tell.
+    corners: u64,
+    /// Whether no other portion of the mesh comes before it, and none behind it.
+    pub(super) is_first: bool,
+    pub(super) is_last: bool,
+}
+
+impl Portion {
+    /// Bytes that [`read`] needs for it at most, as far as its claims tell.
+    pub(super) fn bytes(&self) -> u64 {
+        // A corner with everything, read and drafted.
+        const CORNER_BYTES: u64 = 80;
+        self.corners.saturating_mul(CORNER_BYTES)
+    }
+}
+
+/// The portions of mesh `number`, at least one.
+pub(super) fn portions(resources: &Resources<'_>, number: usize) -> Vec<Portion> {
+    let mesh = &resources.document.meshes[number];
+    let count = |accessor: usize| {
+        resources.document.accessors.get(accessor).map_or(0, |accessor| accessor.count as u64)
+    };
+    // A claim beyond the bytes there are is not worth dividing: reading it will say so.
+    let honest = resources.total_bytes();
+    const MOST: u64 = 3 * PART_TRIANGLES as u64;
+    let portion = |primitives, triangles, corners| Portion {
+        mesh: number,
+        primitives,
+        triangles,
+        corners,
+        is_first: false,
+        is_last: false,
+    };
+    let mut portions: Vec<Portion> = Vec::new();
+    for (place, primitive) in mesh.primitives.iter().enumerate() {
+        let corners = primitive.indices.or(primitive.attributes.position).map_or(0, count);
+        let is_list = primitive.mode.unwrap_or(LIST) == LIST;
+        match portions.last_mut() {
+            Some(last) if last.triangles == ALL && last.corners.saturating_add(corners) <= MOST => {
+                last.primitives.end = place + 1;
+                last.corners += corners;
+            }
+            _ if is_list && corners > MOST && corners <= honest => {
+                let triangles = (corners / 3) as usize;
+                portions.extend((0..triangles).step_by(PART_TRIANGLES).map(|start| {
+                    let some = start..triangles.min(start + PART_TRIANGLES);
+                    let corners = 3 * some.len() as u64;
+                    portion(place..place + 1, some, corners)
+                }));
+            }
+            _ => portions.push(portion(place..place + 1, ALL, corners)),
+        }
+    }
+    if portions.is_empty() {
+        portions.push(portion(0..0, ALL, 0));
+    }
+    portions.first_mut().expect("there is one").is_first = true;
+    portions.last_mut().expect("there is one").is_last = true;
+    portions
+}
+
+/// Stands for all triangles of a primitive.
+const ALL: Range<usize> = 0..usize::MAX;
+/// The mode of a primitive that does not name one.
+const LIST: u64 = 4;
+
+/// Reads a portion; `material` gives what a primitive's material lends.
 pub(super) fn read<'a>(
     resources: &Resources<'_>,
-    number: usize,
-    mesh: &Mesh,
+    portion: &Portion,
     material: impl Fn(Option<usize>) -> &'a Material,
 ) -> Result<(Draft, Tally), ImportError> {
+    let number = portion.mesh;
+    let mesh = &resources.document.meshes[number];
     let name = mesh.name.clone().unwrap_or_else(|| format!("mesh {number}"));
     let mut builder = Builder::new(name);
     let mut tally = Tally::default();
-    for (place, primitive) in mesh.primitives.iter().enumerate() {
+    for place in portion.primitives.clone() {
+        let primitive = &mesh.primitives[place];
         let at = format!("{}, primitive {place}", label("mesh", number, mesh.name.as_ref()));
         let material = material(primitive.material);
-        append(resources, &at, primitive, material, &mut builder, &mut tally)?;
+        let triangles = portion.triangles.clone();
+        append(resources, &at, primitive, triangles, material, &mut builder, &mut tally)?;
     }
     tally.degenerate = builder.dropped_degenerate();
     tally.mended_normals = builder.mended_normals;
@@ -66,29 +145,16 @@ pub(super) fn read<'a>(
     Ok((builder.finish(), tally))
 }
 
-/// Bytes that [`read`] needs for a mesh at most, as far as its claims tell.
-pub(super) fn estimate(resources: &Resources<'_>, mesh: &Mesh) -> u64 {
-    // A corner with everything, read and drafted.
-    const CORNER_BYTES: u64 = 80;
-    let count = |accessor: &usize| {
-        resources.document.accessors.get(*accessor).map_or(0, |accessor| accessor.count as u64)
-    };
-    let corners = |primitive: &Primitive| {
-        primitive.indices.as_ref().or(primitive.attributes.get("POSITION")).map_or(0, count)
-    };
-    let corners = mesh.primitives.iter().map(corners).fold(0, u64::saturating_add);
-    corners.saturating_mul(CORNER_BYTES)
-}
-
 fn append(
     resources: &Resources<'_>,
     at: &str,
     primitive: &Primitive,
+    some: Range<usize>,
     material: &Material,
     builder: &mut Builder,
     tally: &mut Tally,
 ) -> Result<(), ImportError> {
-    let topology = match primitive.mode.unwrap_or(4) {
+    let topology = match primitive.mode.unwrap_or(LIST) {
         0..=3 => {
             tally.points_and_lines += 1;
             return Ok(());
@@ -98,26 +164,22 @@ fn append(
         6 => Topology::Fan,
         mode => return Err(resources.broken(at, format!("its mode {mode} does not exist"))),
     };
-    let open = |attribute: &str, role| {
-        let accessor = primitive.attributes.get(attribute);
-        accessor
-            .map(|&accessor| {
-                Accessor::open(resources, &format!("{at}, {attribute}"), accessor, role)
-            })
-            .transpose()
+    let open = |attribute: &str, accessor: Option<usize>, role| {
+        let open = |a| Accessor::open(resources, &format!("{at}, {attribute}"), a, role);
+        accessor.map(open).transpose()
     };
-    let Some(positions) = open("POSITION", Role::Position)? else {
+    let attributes = &primitive.attributes;
+    let Some(positions) = open("POSITION", attributes.position, Role::Position)? else {
         tally.without_positions += 1;
         return Ok(());
     };
-    let set = material.mapping.map(|mapping| format!("TEXCOORD_{}", mapping.set));
+    let set = material.mapping.map_or(0, |mapping| mapping.set);
+    let coords = material.mapping.and_then(|mapping| attributes.tex_coord(mapping.set));
+    let set = format!("TEXCOORD_{set}");
     let others = [
-        ("NORMAL", open("NORMAL", Role::Normal)?),
-        ("COLOR_0", open("COLOR_0", Role::Color)?),
-        match &set {
-            Some(set) => (set.as_str(), open(set, Role::TexCoord)?),
-            None => ("", None),
-        },
+        ("NORMAL", open("NORMAL", attributes.normal, Role::Normal)?),
+        ("COLOR_0", open("COLOR_0", attributes.color, Role::Color)?),
+        (set.as_str(), open(&set, coords, Role::TexCoord)?),
     ];
     let count = positions.count;
     for (attribute, accessor) in &others {
@@ -132,13 +194,22 @@ fn append(
         }
         None => None,
     };
-    tally.morphed += u64::from(!primitive.targets.is_empty());
-    let corners = Corners::load(resources, at, indices, count)?;
-    if topology == Topology::List {
-        tally.leftover_corners += (corners.count() % 3) as u64;
+    // What is true of the whole primitive is counted with its first triangles.
+    let is_begun = some.start > 0;
+    let all = indices.as_ref().map_or(count, |indices| indices.count);
+    let wanted = match some == ALL {
+        true => 0..all,
+        false => 3 * some.start..3 * some.end,
+    };
+    let corners = Corners::load(resources, at, indices, wanted, count)?;
+    if !is_begun {
+        tally.morphed += u64::from(!primitive.targets.is_empty());
+        if topology == Topology::List {
+            tally.leftover_corners += (all % 3) as u64;
+        }
     }
 
-    let used = corners.range.clone();
+    let used = corners.vertices.clone();
     let load = |accessor: Option<Accessor>| {
         accessor.map(|accessor| accessor.load(resources, used.clone())).transpose()
     };
@@ -154,7 +225,7 @@ fn append(
     let mut paint = Cow::Borrowed(&material.paint);
     if let (Some(mapping), None) = (material.mapping, &vertices.tex_coords) {
         // The mean of a picture is the best guess at what is seen of it.
-        tally.without_tex_coords += 1;
+        tally.without_tex_coords += u64::from(!is_begun);
         let paint = paint.to_mut();
         paint.surface.texture = None;
         paint.texture_is_opaque = true;
@@ -171,21 +242,26 @@ fn append(
 /// The vertices that follow each other, by number from the first one in use.
 struct Corners {
     indices: Option<Elements>,
-    /// Vertices in use: those between the lowest and the highest index.
     range: Range<usize>,
+    /// Vertices in use: those between the lowest and the highest index.
+    vertices: Range<usize>,
 }
 
 impl Corners {
+    /// The corners of `range`, which must be there, of a primitive with so many vertices.
     fn load(
         resources: &Resources<'_>,
         at: &str,
         indices: Option<Accessor>,
+        range: Range<usize>,
         vertices: usize,
     ) -> Result<Self, ImportError> {
-        let Some(indices) = indices else { return Ok(Self { indices: None, range: 0..vertices }) };
-        let indices = indices.load_all(resources)?;
+        let Some(indices) = indices else {
+            return Ok(Self { indices: None, vertices: range.clone(), range });
+        };
+        let indices = indices.load(resources, range.clone())?;
         let (mut low, mut high) = (usize::MAX, 0);
-        for corner in 0..indices.len() {
+        for corner in range.clone() {
             let index = indices.index(corner) as usize;
             if index >= vertices {
                 let what = format!(
@@ -196,16 +272,17 @@ impl Corners {
             low = low.min(index);
             high = high.max(index + 1);
         }
-        Ok(Self { indices: Some(indices), range: low.min(high)..high })
+        Ok(Self { indices: Some(indices), range, vertices: low.min(high)..high })
     }
 
     fn count(&self) -> usize {
-        self.indices.as_ref().map_or(self.range.len(), Elements::len)
+        self.range.len()
     }
 
     fn vertex(&self, corner: usize) -> usize {
+        let corner = self.range.start + corner;
         let vertex = self.indices.as_ref().map_or(corner, |all| all.index(corner) as usize);
-        vertex - self.range.start
+        vertex - self.vertices.start
     }
 }
 

@@ -28,7 +28,7 @@ use rayon::prelude::*;
 use self::buffers::Resources;
 use self::document::{Document, label};
 use self::material::Material;
-use self::mesh::Tally;
+use self::mesh::{Portion, Tally};
 use self::nodes::Placement;
 use super::builder::Draft;
 use super::emit::Emitter;
@@ -38,8 +38,10 @@ use crate::source::{Imported, SourceMesh, SourceObject};
 
 /// The up direction of every glTF scene (glTF 2.0, section 3.4).
 const UP: [f64; 3] = [0.0, 1.0, 0.0];
-/// Meshes that are read at once, in bytes they need.
-const BATCH_BYTES: u64 = 64 << 20;
+/// Bytes that meshes being read may need at once: this part of the memory there is, and no more than
+/// keeps all threads busy.
+const BATCHES: u64 = 4;
+const MOST_BATCH_BYTES: u64 = 64 << 20;
 
 /// Reads the scene file at `path`, and the buffers and textures it refers to.
 ///
@@ -180,39 +182,52 @@ impl Reader<'_, '_> {
         mut done: impl FnMut(T, Option<usize>),
     ) -> Result<(), ImportError> {
         let (resources, materials) = (self.resources, self.materials);
-        let numbered: Vec<(T, usize)> = items.iter().map(|&item| (item, mesh_of(item))).collect();
-        let mut waiting = numbered.into_iter().peekable();
+        let at_once = (self.out.limits.memory / BATCHES).min(MOST_BATCH_BYTES);
+        let portions = |&item: &T| {
+            let portions = mesh::portions(resources, mesh_of(item)).into_iter();
+            portions.map(move |portion| (item, portion))
+        };
+        let mut waiting = items.iter().flat_map(portions).peekable();
+        // Of the mesh whose portions are coming in: its place in the sink, and whether it counts.
+        let (mut place, mut counts) = (None, true);
         while waiting.peek().is_some() {
-            let mut batch: Vec<(T, usize)> = Vec::new();
+            let mut batch: Vec<(T, Portion)> = Vec::new();
             let mut bytes = 0u64;
-            while let Some(&(item, number)) = waiting.peek() {
-                bytes = bytes
-                    .saturating_add(mesh::estimate(resources, &resources.document.meshes[number]));
-                if bytes > BATCH_BYTES && !batch.is_empty() {
+            while let Some((_, portion)) = waiting.peek() {
+                bytes = bytes.saturating_add(portion.bytes());
+                if bytes > at_once && !batch.is_empty() {
                     break;
                 }
-                batch.push((item, number));
-                waiting.next();
+                batch.extend(waiting.next());
             }
             let drafts: Vec<Result<(Draft, Tally), ImportError>> = batch
                 .par_iter()
-                .map(|&(item, number)| {
+                .map(|(item, portion)| {
                     let material = |material: Option<usize>| {
                         material.map_or(&material::DEFAULT, |number| &materials[&number])
                     };
-                    let mesh = &resources.document.meshes[number];
-                    let (draft, tally) = mesh::read(resources, number, mesh, material)?;
-                    Ok((change(item, draft)?, tally))
+                    let (draft, tally) = mesh::read(resources, portion, material)?;
+                    Ok((change(*item, draft)?, tally))
                 })
                 .collect();
             // In order, so that of several faults always the same one is reported.
-            for (&(item, number), draft) in batch.iter().zip(drafts) {
+            for ((item, portion), draft) in batch.into_iter().zip(drafts) {
                 let (draft, tally) = draft?;
-                if !std::mem::replace(&mut self.seen[number], true) {
+                if portion.is_first {
+                    counts = !std::mem::replace(&mut self.seen[portion.mesh], true);
+                    place = None;
+                }
+                if counts {
                     self.tally.add(&tally);
                 }
-                let is_something = SourceMesh::triangles(&draft.mesh) > 0;
-                done(item, is_something.then(|| self.out.mesh(draft)).transpose()?);
+                match place {
+                    _ if SourceMesh::triangles(&draft.mesh) == 0 => {}
+                    None => place = Some(self.out.mesh(draft)?),
+                    Some(_) => self.out.more(draft)?,
+                }
+                if portion.is_last {
+                    done(item, place);
+                }
             }
         }
         Ok(())

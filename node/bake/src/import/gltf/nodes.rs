@@ -177,7 +177,7 @@ fn unit_rotation(stored: [f64; 4]) -> Result<DQuat, &'static str> {
 
 /// A node's own transform: its matrix, or translation after rotation after scale.
 fn local_transform(node: &Node) -> Result<DAffine3, String> {
-    if let Some(m) = node.matrix {
+    if let Some(m) = &node.matrix {
         // Column by column, so the bottom row is every fourth number.
         if [m[3], m[7], m[11], m[15]] != [0.0, 0.0, 0.0, 1.0] {
             return Err("the bottom row of its matrix is not 0 0 0 1".into());

@@ -54,6 +54,22 @@ fn indices_of_every_width_and_none() {
 }
 
 #[test]
+fn the_least_normalised_integer_is_minus_one_like_the_one_above_it() {
+    let bytes = [-128i8, 0, 0, 127, 0, 0, -127, 127, 0].map(|lane| lane as u8);
+    let words = [i16::MIN, 0, 0, i16::MAX, 0, 0, -i16::MAX, i16::MAX, 0];
+    for (component, bytes) in
+        [(5120, bytes.to_vec()), (5122, words.iter().flat_map(|w| w.to_le_bytes()).collect())]
+    {
+        let mut scene = Scene::triangle();
+        let positions = scene.accessor(component, "VEC3", 3, &bytes);
+        scene.json["accessors"][positions]["normalized"] = json!(true);
+        scene.json["meshes"][0]["primitives"][0]["attributes"]["POSITION"] = json!(positions);
+        let found = &scene.import().unwrap().meshes[0].positions;
+        assert_eq!(found[..], [[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [-1.0, 1.0, 0.0]]);
+    }
+}
+
+#[test]
 fn strips_and_fans_keep_their_winding_and_drop_degenerate_joins() {
     let mut scene = Scene::new();
     let positions = scene.floats("VEC3", &SQUARE);

@@ -4,4 +4,5 @@ mod broken;
 mod extensions;
 mod features;
 mod materials;
+mod portions;
 mod real;
