@@ -11,7 +11,7 @@ use fixture::{street, write};
 use protocol::camera::Camera;
 use protocol::message::FailureKind;
 use protocol::schedule::{Phase, Role};
-use protocol::settings::{BackendChoice, Cull, PictureSize, RunSettings, Schedule};
+use protocol::settings::{BackendChoice, Cull, PictureSize, Residency, RunSettings, Schedule};
 use protocol::telemetry::WorkReport;
 use std::path::Path;
 
@@ -52,6 +52,9 @@ fn replay(
         frames,
         audit_every: 1,
         items_every: 2,
+        memory: None,
+        residency: Residency::Exact,
+        prefetch: true,
         pictures_dir: Some(folder.join("frames").to_str().unwrap().to_owned()),
     };
     change(&mut settings);
