@@ -1,15 +1,14 @@
 //! How a node's memory is shared out: buffers on their way, and what the backend holds.
 
 use protocol::format::Skeleton;
-use scene::backend::LARGEST_STORED_SIDE;
 use scene::front::FrontEntry;
 
 /// Buffers take this share of the memory, unless one mesh needs more.
 const HOST_SHARE: u64 = 8;
 /// Buffers take no more than this: they only pass through.
 const MOST_HOST_BYTES: u64 = 32 << 20;
-/// Textures take whole pages of a device.
-const TEXTURE_PAGE_BYTES: u64 = 4 * (LARGEST_STORED_SIDE as u64).pow(2);
+/// A page of textures holds no more than this share of all, or one texture.
+const PAGES_SHARE: u64 = 64;
 /// Least bytes of a buffer in device memory, and what ranges in it are rounded up to.
 const DEVICE_GRAIN: u64 = 1 << 10;
 
@@ -49,7 +48,10 @@ pub(crate) fn share_out(
     // Ranges in device buffers leave gaps.
     let geometry = geometry.saturating_add(geometry / HOST_SHARE);
     let textures: u64 = skeleton.textures.iter().map(|texture| texture.bytes).sum();
-    let textures = textures.next_multiple_of(TEXTURE_PAGE_BYTES);
+    // They lie on pages, of which the last may be empty but for a little: a page is as large as the
+    // largest texture or holds a share of all.
+    let largest = skeleton.textures.iter().map(|texture| texture.bytes).max().unwrap_or(0);
+    let textures = textures + largest + textures / PAGES_SHARE;
     let coarsest = always.iter().map(|entry| level_bytes(skeleton, entry.level)).sum::<u64>();
     let host = (memory / HOST_SHARE).min(MOST_HOST_BYTES).max(mesh);
     // Textures stay; of the rest one mesh at a time can be drawn.

@@ -7,8 +7,9 @@ use scene::backend::{BackendError, LARGEST_STORED_SIDE, TextureUpload, stored_mi
 use shaders::mirror::TextureRecord;
 use wgpu::BufferBindingType::Storage;
 
-/// Side of a page.
-const PAGE_SIDE: u32 = LARGEST_STORED_SIDE;
+/// Pages are as small as the largest texture lets them be, so that little of the last is left empty, but
+/// not so many as this.
+const MANY_PAGES: u64 = 256;
 
 /// The bind group of textured pipelines; nothing is made before the first.
 pub(crate) struct Textures {
@@ -23,6 +24,7 @@ pub(crate) struct Arranged {
     records: Vec<TextureRecord>,
     /// Of all mips of all of them.
     places: Vec<Place>,
+    page_side: u32,
     pages: u32,
 }
 
@@ -84,7 +86,7 @@ impl Textures {
             device.wait_for(None)?;
         }
         self.bytes = arranged.bytes();
-        let pages = pages(device, PAGE_SIDE, arranged.pages);
+        let pages = pages(device, arranged.page_side, arranged.pages);
         for (record, (texture, bytes)) in arranged.records.iter().zip(textures) {
             let (_, _, mips) = stored_mips(texture, bytes)?;
             write(
@@ -122,20 +124,21 @@ impl Arranged {
             });
             sides.extend((0..=side.ilog2()).map(|mip| side >> mip));
         }
-        let (places, count) = placed(&sides);
+        let page_side = page_side(&sides);
+        let (places, count) = placed(&sides, page_side);
         let limit = device.limits.max_texture_array_layers.min(1 << 12);
         if count > limit {
             let reason = format!("{count} pages of textures; an array holds {limit}");
             return Err(device.unsupported(reason));
         }
-        Ok(Self { records, places, pages: count.max(1) })
+        Ok(Self { records, places, page_side, pages: count.max(1) })
     }
 
     /// Bytes of the pages and the lists.
     pub(crate) fn bytes(&self) -> u64 {
         buffer_bytes(size_of_val(&self.records[..]))
             + buffer_bytes(size_of::<u32>() * self.places.len())
-            + u64::from(self.pages) * u64::from(PAGE_SIDE).pow(2) * 4
+            + u64::from(self.pages) * u64::from(self.page_side).pow(2) * 4
     }
 }
 
@@ -159,20 +162,30 @@ impl Place {
     }
 }
 
+/// Side of the pages for squares of these sides.
+fn page_side(sides: &[u32]) -> u32 {
+    let area: u64 = sides.iter().map(|&side| u64::from(side).pow(2)).sum();
+    let mut page = sides.iter().copied().max().unwrap_or(1);
+    while page < LARGEST_STORED_SIDE && area.div_ceil(u64::from(page).pow(2)) > MANY_PAGES {
+        page *= 2;
+    }
+    page
+}
+
 /// Places for squares of these sides, powers of two up to a page's, and the number of pages.
 ///
 /// Large ones go first, along the curve that fills a square quarter by quarter (Morton 1966): what lies
 /// before each is then a multiple of its own area, so it finds a whole quarter, and none is wasted.
-fn placed(sides: &[u32]) -> (Vec<Place>, u32) {
+fn placed(sides: &[u32], page_side: u32) -> (Vec<Place>, u32) {
     let mut order: Vec<usize> = (0..sides.len()).collect();
     order.sort_by_key(|&index| std::cmp::Reverse(sides[index]));
     let mut places = vec![Place::default(); sides.len()];
-    let page = u64::from(PAGE_SIDE).pow(2);
+    let page = u64::from(page_side).pow(2);
     let mut used = 0u64;
     for index in order {
         let within = used % page;
         let every_other_bit = |from: u32| {
-            (0..PAGE_SIDE.ilog2()).fold(0, |sum, bit| sum | (within >> (2 * bit + from) & 1) << bit)
+            (0..page_side.ilog2()).fold(0, |sum, bit| sum | (within >> (2 * bit + from) & 1) << bit)
         };
         let [x, y] = [0, 1].map(|from| every_other_bit(from) as u32);
         places[index] = Place { x, y, page: (used / page) as u32 };
@@ -269,25 +282,27 @@ mod tests {
 
     #[test]
     fn mips_fill_pages_without_overlap_or_gap() {
-        assert_eq!(placed(&[]), (vec![], 0));
-        assert_eq!(placed(&[PAGE_SIDE; 2]).1, 2);
+        assert_eq!((placed(&[], 1), page_side(&[])), ((vec![], 0), 1));
+        assert_eq!((placed(&[64; 2], 64).1, page_side(&[64, 64, 32])), (2, 64));
+        assert_eq!((page_side(&[64; 257]), page_side(&[1024; 999])), (128, 1024));
         let chains = [1024, 1, 512, 64, 512, 2, 256, 1024];
         let sides: Vec<u32> = chains
             .iter()
             .flat_map(|side: &u32| (0..=side.ilog2()).map(move |m| side >> m))
             .collect();
-        let (places, pages) = placed(&sides);
+        let page_side = page_side(&sides);
+        let (places, pages) = placed(&sides, page_side);
         let mut taken = HashSet::new();
         for (place, &side) in places.iter().zip(&sides) {
             assert!(place.x % side == 0 && place.y % side == 0, "{place:?} {side}");
             assert!(
-                place.x + side <= PAGE_SIDE && place.y + side <= PAGE_SIDE && place.page < pages
+                place.x + side <= page_side && place.y + side <= page_side && place.page < pages
             );
             for y in place.y..place.y + side {
                 assert!((place.x..place.x + side).all(|x| taken.insert((x, y, place.page))));
             }
         }
-        assert_eq!(taken.len().div_ceil(PAGE_SIDE.pow(2) as usize), pages as usize);
+        assert_eq!(taken.len().div_ceil(page_side.pow(2) as usize), pages as usize);
     }
 
     #[test]

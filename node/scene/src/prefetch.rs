@@ -3,7 +3,8 @@
 //!
 //! In the paper's order: first LOD switching, what stands for the present visible set at the levels of
 //! the camera to come; then visibility, which the paper left open: what was visible not long ago, the
-//! siblings of what is visible, and what enters the frustum, the nearest first.
+//! siblings of what is visible, and what enters the frustum, the nearest first. Where there is room for
+//! more, what is hidden in the frustum comes last.
 
 use crate::front::{Front, FrontEntry, box_from_eye, front};
 use crate::occluders::map_onto_front;
@@ -68,6 +69,8 @@ pub enum Event {
     Unoccluded,
     /// It enters the frustum.
     Entering,
+    /// It is in the frustum and hidden.
+    Hidden,
 }
 
 /// What a forecast is made from.
@@ -138,6 +141,7 @@ impl Forecaster {
             }
             1 => (Event::Unoccluded, levels(&self.likely(horizon))),
             2 => (Event::Entering, levels(&self.entering(horizon, &outlook))),
+            3 => (Event::Hidden, levels(&self.nearest_first(horizon, &outlook, |_| true))),
             _ => {
                 self.steps = Steps::default();
                 return None;
@@ -160,23 +164,31 @@ impl Forecaster {
 
     /// Entries that the present frustum does not hold, nearest first.
     fn entering(&self, horizon: usize, outlook: &Outlook) -> Vec<FrontEntry> {
-        let camera = outlook.motion.predicted(AHEAD[horizon]);
         let now = front(&self.skeleton, &outlook.motion.now, self.size, self.lod_px);
         let held = now.entries.iter().map(|entry| entry.hlod).collect();
         let front = &self.steps.fronts[horizon];
         let standing = map_onto_front(&self.skeleton, &VisibleSet::from_sorted(held), front);
         let known: BTreeSet<HlodId> = standing.iter().map(|entry| entry.hlod).collect();
+        self.nearest_first(horizon, outlook, |hlod| !known.contains(&hlod))
+    }
+
+    /// Those entries whose hlod `is_meant`, by the distance of their boxes from the eye.
+    fn nearest_first(
+        &self,
+        horizon: usize,
+        outlook: &Outlook,
+        is_meant: impl Fn(HlodId) -> bool,
+    ) -> Vec<FrontEntry> {
+        let front = &self.steps.fronts[horizon];
+        let camera = outlook.motion.predicted(AHEAD[horizon]);
         let distance = |entry: &FrontEntry| {
             box_from_eye(self.skeleton.hlod(entry.hlod), camera.eye).distance(DVec3::ZERO)
         };
-        let mut entering: Vec<(f64, FrontEntry)> = front
-            .entries
-            .iter()
-            .filter(|entry| !known.contains(&entry.hlod))
-            .map(|entry| (distance(entry), *entry))
-            .collect();
-        entering.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.hlod.cmp(&b.1.hlod)));
-        entering.into_iter().map(|(_, entry)| entry).collect()
+        let meant = front.entries.iter().filter(|entry| is_meant(entry.hlod));
+        let mut sorted: Vec<(f64, FrontEntry)> =
+            meant.map(|entry| (distance(entry), *entry)).collect();
+        sorted.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.hlod.cmp(&b.1.hlod)));
+        sorted.into_iter().map(|(_, entry)| entry).collect()
     }
 }
 
@@ -250,10 +262,11 @@ mod tests {
             let mut forecaster = Forecaster::new(Arc::clone(&skeleton), SIZE, 2.0);
             forecaster.begin(Outlook { motion, visible: Arc::clone(&visible) });
             let found = all_levels(&mut forecaster);
-            assert_eq!(found.len(), 3 * AHEAD.len());
+            assert_eq!(found.len(), 4 * AHEAD.len());
             for (step, (event, levels)) in found.iter().enumerate() {
                 let ahead = AHEAD[step % AHEAD.len()];
-                let expected = [Event::LodSwitch, Event::Unoccluded, Event::Entering];
+                let expected =
+                    [Event::LodSwitch, Event::Unoccluded, Event::Entering, Event::Hidden];
                 assert_eq!(*event, expected[step / AHEAD.len()]);
                 let then = front(&skeleton, &motion.predicted(ahead), SIZE, 2.0);
                 let is_there = |level: &u32| then.entries.iter().any(|e| e.level == *level);
@@ -302,7 +315,8 @@ mod tests {
         let found = all_levels(&mut forecaster);
         let level = here.entries.last().unwrap().level;
         for (event, levels) in found {
-            assert_eq!(levels.contains(&level), event == Event::Unoccluded, "{event:?}");
+            let is_named = matches!(event, Event::Unoccluded | Event::Hidden);
+            assert_eq!(levels.contains(&level), is_named, "{event:?}");
         }
     }
 }

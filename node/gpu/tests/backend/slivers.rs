@@ -10,7 +10,7 @@ use protocol::id::BlobId;
 use protocol::settings::{Cull, PictureSize};
 use rand::rngs::StdRng;
 use rand::{Rng, SeedableRng};
-use scene::backend::{Backend, Draw, NO_ITEM, View};
+use scene::backend::{Backend, Draw, NO_ITEM, Upload, View};
 use scene::occludee::{Rules, Test, test_for};
 
 const SIZE: PictureSize = PictureSize { width: 96, height: 64 };
@@ -82,7 +82,8 @@ fn hlod(backend: &mut impl Backend, id: u32, kind: Kind, random: &mut StdRng) ->
     }
     let mesh = Mesh { indices: (0..vertices.len() as u16).collect(), vertices };
     let record = plain_blob(mesh.vertices.len() as u32, TRIANGLES as u32);
-    backend.upload(BlobId(id), &record, &mesh.bytes()).expect("a sound blob");
+    let uploaded = backend.upload(BlobId(id), &record, &mesh.bytes()).expect("a sound blob");
+    assert_eq!(uploaded, Upload::Done);
     let bounds = Hlod { min, max, ..bytemuck::Zeroable::zeroed() };
     (draw(id, id, [(1.0 / STEPS) as f32; 3], [-16.0; 3]), bounds)
 }
