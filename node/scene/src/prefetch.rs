@@ -18,7 +18,7 @@ use std::collections::BTreeSet;
 use std::sync::Arc;
 
 /// Frames ahead that are looked at.
-const AHEAD: [u32; 3] = [1, 3, 8];
+const AHEAD: [u32; 2] = [1, 4];
 /// Frames for which what was visible counts as likely to become visible again.
 const REMEMBERED: u32 = 240;
 

@@ -136,6 +136,7 @@ impl IoThread {
             likely: Arc::clone(&likely),
             fetched: VecDeque::new(),
             ahead: VecDeque::new(),
+            next_forecast: None,
             rest: 0..0,
             room: 0,
         };
@@ -171,6 +172,7 @@ struct Reader<S> {
     fetched: VecDeque<BlobId>,
     /// To be read ahead.
     ahead: VecDeque<BlobId>,
+    next_forecast: Option<(Outlook, Vec<BlobId>, u64)>,
     /// Blobs to be read after all that.
     rest: std::ops::Range<u32>,
     /// Bytes that the forecast may still take.
@@ -220,12 +222,10 @@ impl<S: Source> Reader<S> {
     fn take(&mut self, order: Order) {
         match order {
             Order::Fetch(blobs) => self.fetched.extend(blobs),
+            // A forecast takes longer than some frames. It is ended, and of those that came meanwhile the
+            // newest comes next: what it names last would never be read otherwise.
             Order::Foresee { outlook, in_use, room } => {
-                self.ahead.clear();
-                self.likely.clear_all();
-                in_use.into_iter().for_each(|blob| _ = self.likely.set(blob));
-                self.room = room;
-                self.forecaster.begin(outlook);
+                self.next_forecast = Some((outlook, in_use, room))
             }
             Order::Everything => self.rest = 0..self.skeleton.blobs.len() as u32,
         }
@@ -248,9 +248,15 @@ impl<S: Source> Reader<S> {
                 return None;
             }
             let named = if self.room > 0 { self.forecaster.next_levels() } else { None };
-            match named {
-                Some((_, levels)) => levels.into_iter().for_each(|level| self.expect(level)),
-                None => self.ahead.push_back(BlobId(self.rest.next()?)),
+            if let Some((_, levels)) = named {
+                levels.into_iter().for_each(|level| self.expect(level));
+            } else if let Some((outlook, in_use, room)) = self.next_forecast.take() {
+                self.likely.clear_all();
+                in_use.into_iter().for_each(|blob| _ = self.likely.set(blob));
+                self.room = room;
+                self.forecaster.begin(outlook);
+            } else {
+                self.ahead.push_back(BlobId(self.rest.next()?));
             }
         }
     }

@@ -12,14 +12,14 @@ use std::ops::Range;
 #[cfg(target_os = "linux")]
 use {
     memmap2::{Advice, MmapOptions, MmapRaw, UncheckedAdvice},
-    std::sync::{Mutex, PoisonError},
+    std::sync::atomic::{AtomicUsize, Ordering},
 };
 
-/// The kernel maps up to this much around a page that is touched (`fault_around_bytes`, its default).
+/// What the kernel is thought to map around a page that is touched: it maps whole pieces of its cache.
 #[cfg(target_os = "linux")]
-const MAPPED_AROUND: usize = 64 << 10;
+const MAPPED_AROUND: usize = 512 << 10;
 
-/// Most bytes of the map that copies leave resident.
+/// About the most bytes of the map that copies leave resident.
 #[cfg(target_os = "linux")]
 const MOST_RESIDENT: usize = 4 << 20;
 
@@ -30,9 +30,9 @@ pub(super) struct Guarded {
     bytes: u64,
     #[cfg(target_os = "linux")]
     map: MmapRaw,
-    /// Where the map may be resident.
+    /// How much of the map may be resident.
     #[cfg(target_os = "linux")]
-    resident: Mutex<Range<usize>>,
+    resident: AtomicUsize,
 }
 
 impl Guarded {
@@ -45,7 +45,7 @@ impl Guarded {
                 MmapOptions::new().len(whole).map_raw_read_only(&file)?
             },
             #[cfg(target_os = "linux")]
-            resident: Mutex::default(),
+            resident: AtomicUsize::new(0),
             file,
             bytes,
         })
@@ -111,7 +111,7 @@ impl Guarded {
                 Ok(count) => done += count,
             }
         }
-        self.forget(at, out.len());
+        self.forget(out.len());
         done
     }
 
@@ -120,34 +120,23 @@ impl Guarded {
         0
     }
 
-    /// Notes what a copy made resident, and takes it out of this process again before it is much; the
-    /// system keeps the pages cached.
+    /// Notes what a copy made resident, and takes the whole map out of this process again before that is
+    /// much; the system keeps the pages cached.
     ///
     /// Not at once: what is mapped around one copy mostly serves the next, and mapping is what costs.
     #[cfg(target_os = "linux")]
-    fn forget(&self, at: usize, len: usize) {
-        let start = at.saturating_sub(MAPPED_AROUND);
-        let end = (at + len + MAPPED_AROUND).min(self.map.len());
-        let mut resident = self.resident.lock().unwrap_or_else(PoisonError::into_inner);
-        if start <= resident.end && resident.start <= end {
-            *resident = resident.start.min(start)..resident.end.max(end);
-        } else {
-            self.drop_pages(std::mem::replace(&mut resident, start..end));
-        }
-        if resident.len() > MOST_RESIDENT {
-            self.drop_pages(std::mem::take(&mut resident));
-        }
-    }
-
-    /// Takes pages out of this process. Another thread that copies from them has them mapped anew.
-    #[cfg(target_os = "linux")]
     #[allow(unsafe_code, reason = "memmap2 cannot know that nothing borrows from the map")]
-    fn drop_pages(&self, range: Range<usize>) {
-        // SAFETY: The range lies in the map, to its last page. The map shows a file, so a page that
-        // is dropped comes back with the file's contents; and no reference into the map exists, here
-        // or in another thread, that could see it change: all access is the kernel's.
+    fn forget(&self, len: usize) {
+        let more = len + MAPPED_AROUND;
+        if self.resident.fetch_add(more, Ordering::Relaxed) + more < MOST_RESIDENT {
+            return;
+        }
+        self.resident.store(0, Ordering::Relaxed);
+        // SAFETY: The map shows a file, so a page that is dropped comes back with the file's contents;
+        // and no reference into the map exists, here or in another thread, that could see it change: all
+        // access is the kernel's.
         let advice = unsafe {
-            self.map.unchecked_advise_range(UncheckedAdvice::DontNeed, range.start, range.len())
+            self.map.unchecked_advise_range(UncheckedAdvice::DontNeed, 0, self.map.len())
         };
         // Locked pages stay (EINVAL): resident is what whoever locked them wanted.
         drop(advice);
@@ -198,7 +187,7 @@ mod tests {
     fn without_map(file: File, bytes: u64) -> Guarded {
         let empty = tempfile::tempfile().unwrap();
         let map = MmapOptions::new().len(bytes as usize).map_raw_read_only(&empty).unwrap();
-        Guarded { file, bytes, map, resident: Mutex::default() }
+        Guarded { file, bytes, map, resident: AtomicUsize::new(0) }
     }
 
     #[test]
