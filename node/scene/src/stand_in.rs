@@ -122,7 +122,10 @@ pub fn coarsest_cut(skeleton: &Skeleton) -> Vec<FrontEntry> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::backend::{Backend, Completion, Draws, NO_ITEM, Part, Pass, View};
+    use crate::draw_list::draw_list;
     use crate::front::front;
+    use crate::occludee::Rules;
     use crate::random_scene::RandomScene;
     use rand::Rng;
 
@@ -185,6 +188,67 @@ mod tests {
             replaced += found.replaced;
         }
         assert!(replaced > 500, "{replaced}");
+    }
+
+    /// By pixel, the hlod seen there and its view depth.
+    fn seen(scene: &RandomScene, camera: &Camera, entries: &[FrontEntry]) -> Vec<(HlodId, f64)> {
+        let mut backend = scene.backend(SIZE, &Rules::default());
+        let view = View::new(camera, SIZE);
+        let mut run = |pass| {
+            backend.submit(pass).unwrap();
+            let mut completions = Vec::new();
+            backend.poll(&mut completions).unwrap();
+            completions.remove(0)
+        };
+        // What blends leaves no depth.
+        let draws = draw_list(&scene.skeleton, entries, camera.eye);
+        let draws = Draws { blending: vec![], ..draws };
+        let (part, with_depth) = (Part::WHOLE, true);
+        let Completion::Items { items, .. } = run(Pass::Items { view, draws: draws.clone(), part })
+        else {
+            panic!("no items")
+        };
+        let Completion::Picture { picture, .. } =
+            run(Pass::Shade { view, draws, with_depth, part })
+        else {
+            panic!("no picture")
+        };
+        let depths = picture.depth.unwrap();
+        let pixels = items.into_iter().zip(depths).filter(|(item, _)| *item != NO_ITEM);
+        let depth = |z: f32| f64::from(camera.near) / f64::from(z);
+        pixels.map(|(item, z)| (HlodId(item), depth(z))).collect()
+    }
+
+    #[test]
+    fn the_error_told_bounds_what_is_seen() {
+        let mut measured = 0;
+        for seed in 0..300 {
+            let mut scene = RandomScene::new(seed, 3, 16.0);
+            let camera = scene.camera();
+            let lod_px = 2.0;
+            let front = front(&scene.skeleton, &camera, SIZE, lod_px).entries;
+            let there: Vec<bool> =
+                scene.skeleton.levels.iter().map(|_| scene.rng.random_bool(0.7)).collect();
+            let found = available(&scene.skeleton, &front, &camera, SIZE, |l| there[l as usize]);
+            let pixel = pixel_at_unit_depth(&camera, SIZE);
+            let seen = seen(&scene, &camera, &found.entries);
+            for entry in found.entries.iter().filter(|entry| !front.contains(entry)) {
+                let nearest = seen.iter().filter(|(hlod, _)| *hlod == entry.hlod).map(|(_, d)| *d);
+                let Some(nearest) = nearest.reduce(f64::min) else { continue };
+                let error = scene.skeleton.levels[entry.level as usize].error;
+                let (shown, told) = (
+                    error / (nearest * pixel),
+                    projected_error(&scene.skeleton, entry, &camera, SIZE),
+                );
+                // Depths are rounded.
+                assert!(
+                    shown <= told * 1.001 && told <= found.error_px,
+                    "seed {seed}: {shown} {told}"
+                );
+                measured += 1;
+            }
+        }
+        assert!(measured > 100, "{measured}");
     }
 
     #[test]
