@@ -38,7 +38,7 @@ pub(crate) struct Loader {
     /// The first camera was seen.
     is_expecting: bool,
     /// Last cameras, by frame.
-    cameras: [Option<(FrameIndex, Camera)>; 2],
+    cameras: [Option<(FrameIndex, Camera)>; 3],
     /// Bytes this frame may still take in of what nobody waits for.
     upload_left: u64,
     peak: Arc<AtomicU64>,
@@ -73,7 +73,7 @@ impl Loader {
             now: 0,
             lost: vec![false; blobs],
             is_expecting: false,
-            cameras: [None; 2],
+            cameras: [None; 3],
             upload_left: UPLOAD_BYTES,
             peak,
             counts: IoCounts::default(),
@@ -342,7 +342,7 @@ impl Loader {
             return;
         }
         self.is_expecting = true;
-        let motion = Motion { before: *camera, now: *camera, frames: 1 };
+        let motion = Motion { earlier_eye: None, before: *camera, now: *camera, frames: 1 };
         self.read_ahead(Outlook { motion, visible: Arc::new(VisibleSet::whole_scene()) });
         if self.budget.fits {
             self.io.foresee(Order::Everything);
@@ -357,15 +357,18 @@ impl Loader {
         camera: &Camera,
         visible: &Arc<VisibleSet>,
     ) {
-        if self.cameras[1].is_none_or(|(last, _)| last < frame) {
-            self.cameras = [self.cameras[1], Some((frame, *camera))];
+        if self.cameras[2].is_none_or(|(last, _)| last < frame) {
+            self.cameras = [self.cameras[1], self.cameras[2], Some((frame, *camera))];
         }
         if !self.prefetch || self.budget.fits {
             return;
         }
-        let [before, Some((last, now))] = self.cameras else { return };
+        let [earlier, before, Some((last, now))] = self.cameras else { return };
         let (first, before) = before.unwrap_or((last, now));
-        let motion = Motion { before, now, frames: (last.0 - first.0).max(1) };
+        let frames = (last.0 - first.0).max(1);
+        let is_even = |(earliest, _): &(FrameIndex, Camera)| first.0 - earliest.0 == frames;
+        let earlier_eye = earlier.filter(is_even).map(|(_, camera)| camera.eye);
+        let motion = Motion { earlier_eye, before, now, frames };
         self.read_ahead(Outlook { motion, visible: Arc::clone(visible) });
     }
 

@@ -22,9 +22,12 @@ const AHEAD: [u32; 2] = [1, 4];
 /// Frames for which what was visible counts as likely to become visible again.
 const REMEMBERED: u32 = 240;
 
-/// Two cameras some frames apart.
+/// Cameras some frames apart.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Motion {
+    /// Where the eye was as many frames before the earlier camera as that is before the present one,
+    /// where that is known.
+    pub earlier_eye: Option<[f64; 3]>,
     /// The earlier one.
     pub before: Camera,
     /// The present one.
@@ -34,7 +37,8 @@ pub struct Motion {
 }
 
 impl Motion {
-    /// The camera `ahead` frames after the present one if it keeps its speed and its turn.
+    /// The camera `ahead` frames after the present one if it keeps its turn, and its eye its acceleration
+    /// (or its speed, where no more is known).
     pub fn predicted(&self, ahead: u32) -> Camera {
         let share = f64::from(ahead) / f64::from(self.frames.max(1));
         let (from, to) = (turn_of(&self.before), turn_of(&self.now));
@@ -48,7 +52,10 @@ impl Motion {
             (turned * v).normalize_or(v).to_array().map(|c| c as f32)
         };
         let eye = std::array::from_fn(|k| {
-            self.now.eye[k] + (self.now.eye[k] - self.before.eye[k]) * share
+            let (now, before) = (self.now.eye[k], self.before.eye[k]);
+            let way = now - before;
+            let gain = self.earlier_eye.map_or(0.0, |earlier| way - (before - earlier[k]));
+            now + way * share + gain * (share * (share + 1.0) / 2.0)
         });
         Camera { eye, forward: turn(self.now.forward), up: turn(self.now.up), ..self.now }
     }
@@ -215,7 +222,9 @@ mod tests {
             look(eye, [eye[0] + cos, eye[1] + sin, eye[2]])
         };
         for frames in [1, 2, 5] {
-            let motion = Motion { before: at(0.0), now: at(f64::from(frames)), frames };
+            let earlier_eye = Some(at(-f64::from(frames)).eye);
+            let now = at(f64::from(frames));
+            let motion = Motion { earlier_eye, before: at(0.0), now, frames };
             for ahead in [0, 1, 8] {
                 let (found, truth) = (motion.predicted(ahead), at(f64::from(frames + ahead)));
                 assert!((0..3).all(|k| (found.eye[k] - truth.eye[k]).abs() < 1e-6));
@@ -226,14 +235,30 @@ mod tests {
     }
 
     #[test]
+    fn an_eye_on_an_arc_is_predicted_to_the_third_order() {
+        let at = |frame: f64| {
+            let (sin, cos) = (0.05 * frame).sin_cos();
+            look([10.0 * cos, 10.0 * sin, 0.0], [0.0; 3])
+        };
+        let (before, now, truth) = (at(0.0), at(1.0), at(4.0).eye);
+        let off = |earlier_eye| {
+            let found = Motion { earlier_eye, before, now, frames: 1 }.predicted(3).eye;
+            (0..3).map(|k| (found[k] - truth[k]).powi(2)).sum::<f64>().sqrt()
+        };
+        let (straight, bent) = (off(None), off(Some(at(-1.0).eye)));
+        assert!(straight > 0.1 && bent < 0.02, "{straight} {bent}");
+    }
+
+    #[test]
     fn a_camera_that_stands_or_turns_back_stays_a_camera() {
         let still = look([1.0, 2.0, 3.0], [4.0, 2.0, 3.0]);
-        let motion = Motion { before: still, now: still, frames: 1 };
+        let motion = Motion { earlier_eye: None, before: still, now: still, frames: 1 };
         let found = motion.predicted(8);
         assert_eq!(found.eye, still.eye);
         assert!(angle(found.forward, still.forward) < 1e-6);
         let back = look([1.0, 2.0, 3.0], [-4.0, 2.0, 3.0]);
-        let found = Motion { before: still, now: back, frames: 1 }.predicted(3);
+        let motion = Motion { earlier_eye: None, before: still, now: back, frames: 1 };
+        let found = motion.predicted(3);
         let length = found.forward.iter().map(|c| c * c).sum::<f32>();
         assert!((length - 1.0).abs() < 1e-5, "{found:?}");
     }
@@ -254,7 +279,7 @@ mod tests {
         for seed in 0..20 {
             let mut scene = RandomScene::new(seed, 4, 16.0);
             let (before, now) = (scene.camera(), scene.camera());
-            let motion = Motion { before, now, frames: 8 };
+            let motion = Motion { earlier_eye: None, before, now, frames: 8 };
             let skeleton = Arc::new(scene.skeleton);
             let here = front(&skeleton, &now, SIZE, 2.0);
             let ids = here.entries.iter().step_by(3).map(|entry| entry.hlod).collect();
@@ -286,7 +311,7 @@ mod tests {
         let now = scene.camera();
         let skeleton = Arc::new(scene.skeleton);
         let back = Camera { forward: now.forward.map(|c| -c), ..now };
-        let motion = Motion { before: back, now, frames: 1 };
+        let motion = Motion { earlier_eye: None, before: back, now, frames: 1 };
         let here = front(&skeleton, &now, SIZE, 0.0);
         let ids = here.entries.iter().map(|entry| entry.hlod).collect();
         let visible = Arc::new(VisibleSet::from_sorted(ids));
@@ -305,7 +330,7 @@ mod tests {
         let mut scene = RandomScene::new(8, 3, 16.0);
         let now = scene.camera();
         let skeleton = Arc::new(scene.skeleton);
-        let motion = Motion { before: now, now, frames: 1 };
+        let motion = Motion { earlier_eye: None, before: now, now, frames: 1 };
         let here = front(&skeleton, &now, SIZE, 0.0);
         let last = here.entries.last().unwrap().hlod;
         let mut forecaster = Forecaster::new(Arc::clone(&skeleton), SIZE, 0.0);

@@ -64,7 +64,7 @@ fn outlook() -> Outlook {
     let now =
         Camera::look_at([10.0, -3.0, 2.0], [11.0, 6.0, 2.0], [0.0, 0.0, 1.0], 60.0, 0.05).unwrap();
     let visible = Arc::new(VisibleSet::whole_scene());
-    Outlook { motion: Motion { before: now, now, frames: 1 }, visible }
+    Outlook { motion: Motion { earlier_eye: None, before: now, now, frames: 1 }, visible }
 }
 
 #[test]
