@@ -65,8 +65,7 @@ pub(crate) fn share_out(
 
 /// Bytes of a level's meshes; one that several parts share counts for each.
 fn level_bytes(skeleton: &Skeleton, level: u32) -> u64 {
-    let parts = skeleton.parts_of(&skeleton.levels[level as usize]).iter();
-    parts.map(|part| skeleton.blobs[part.blob as usize].bytes).sum()
+    skeleton.blobs_of(level).map(|blob| skeleton.blob(blob).bytes).sum()
 }
 
 /// What a node takes where it is told nothing: an eighth of the machine's memory, since three nodes

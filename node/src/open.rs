@@ -83,12 +83,8 @@ fn upload_textures(store: &Store, backend: &mut dyn Backend) -> Result<(), RoleE
     if records.is_empty() {
         return Ok(());
     }
-    let mut bytes: Vec<Vec<u8>> = Vec::with_capacity(records.len());
-    for (index, record) in (0..).zip(records) {
-        let mut mips = vec![0; record.bytes as usize];
-        store.read_texture(index, &mut mips)?;
-        bytes.push(mips);
-    }
+    let load = |index| store.load_texture(index);
+    let bytes: Vec<Vec<u8>> = (0..records.len() as u32).map(load).collect::<Result<_, _>>()?;
     let textures: Vec<_> =
         records.iter().zip(&bytes).map(|(record, mips)| (*record, &mips[..])).collect();
     match backend.upload_textures(&textures)? {

@@ -98,8 +98,7 @@ impl Loader {
 
     /// Whether a level can be drawn: in `exact` if it can be had, in `deadline` if it is there.
     pub(crate) fn offers(&self, level: u32, promise: Promise) -> bool {
-        let parts = self.skeleton.parts_of(&self.skeleton.levels[level as usize]);
-        parts.iter().map(|part| BlobId(part.blob)).all(|blob| match promise {
+        self.skeleton.blobs_of(level).all(|blob| match promise {
             Promise::Exact => !self.lost[blob.index()],
             Promise::Deadline => self.residency.holds(blob),
         })
@@ -128,9 +127,8 @@ impl Loader {
     }
 
     fn blobs_of(&self, entries: &[FrontEntry]) -> Vec<BlobId> {
-        let levels = entries.iter().map(|entry| &self.skeleton.levels[entry.level as usize]);
-        let parts = levels.flat_map(|level| self.skeleton.parts_of(level));
-        let mut blobs: Vec<BlobId> = parts.map(|part| BlobId(part.blob)).collect();
+        let of_entry = |entry: &FrontEntry| self.skeleton.blobs_of(entry.level);
+        let mut blobs: Vec<BlobId> = entries.iter().flat_map(of_entry).collect();
         blobs.sort_unstable();
         blobs.dedup();
         blobs

@@ -109,15 +109,8 @@ pub fn front(skeleton: &Skeleton, camera: &Camera, size: PictureSize, lod_px: f6
 mod tests {
     use super::*;
     use crate::random_scene::RandomScene;
-    use protocol::format::NONE;
 
     const SIZE: PictureSize = PictureSize { width: 320, height: 200 };
-
-    fn ancestors(skeleton: &Skeleton, hlod: HlodId) -> impl Iterator<Item = HlodId> {
-        std::iter::successors(Some(hlod), |&id| {
-            Some(skeleton.hlod(id).parent).filter(|&parent| parent != NONE).map(HlodId)
-        })
-    }
 
     fn meets(level: f64, hlod: &Hlod, camera: &Camera, lod_px: f64) -> bool {
         let distance = box_from_eye(hlod, camera.eye).distance(DVec3::ZERO);
@@ -156,7 +149,8 @@ mod tests {
                         inner += u32::from(chosen(&id));
                         continue;
                     }
-                    let covered = ancestors(skeleton, id).filter(chosen).count();
+                    let covered =
+                        std::iter::once(id).chain(skeleton.ancestors(id)).filter(chosen).count();
                     let seen_from_eye = box_from_eye(hlod, camera.eye);
                     let outside =
                         frustum(&camera, SIZE).contains(&seen_from_eye) == Containment::Outside;
@@ -184,7 +178,7 @@ mod tests {
                     for coarser in &levels[chosen + 1..] {
                         assert!(!meets(coarser.error, hlod, &camera, lod_px));
                     }
-                    for above in ancestors(skeleton, entry.hlod).skip(1) {
+                    for above in skeleton.ancestors(entry.hlod) {
                         let hlod = skeleton.hlod(above);
                         let fits = |l: &protocol::format::Level| {
                             meets(l.error, hlod, &camera, lod_px * 0.999_999)

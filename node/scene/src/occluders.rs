@@ -4,7 +4,7 @@
 //! culling conservative (paper 004, section 2.1).
 
 use crate::front::{Front, FrontEntry};
-use protocol::format::{NONE, Skeleton};
+use protocol::format::Skeleton;
 use protocol::id::HlodId;
 use protocol::visible::VisibleSet;
 
@@ -30,8 +30,7 @@ impl Marks {
 
 /// `hlod`, its parent and so on up to the root.
 fn upwards(skeleton: &Skeleton, hlod: HlodId) -> impl Iterator<Item = u32> {
-    let parent = |&id: &u32| Some(skeleton.hlods[id as usize].parent).filter(|&p| p != NONE);
-    std::iter::successors(Some(hlod.0), parent)
+    std::iter::once(hlod).chain(skeleton.ancestors(hlod)).map(|id| id.0)
 }
 
 /// The entries of `front` that stand for `previous`: each of its hlods if it is on the front, else its

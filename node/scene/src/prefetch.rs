@@ -104,9 +104,11 @@ pub struct Forecaster {
 #[derive(Default)]
 struct Steps {
     outlook: Option<Outlook>,
-    fronts: Vec<Arc<Front>>,
+    fronts: Vec<Front>,
     /// Entries that stand for the visible set, by horizon.
     standing: Vec<Vec<FrontEntry>>,
+    /// The front of the present camera, once it is needed.
+    present: Option<VisibleSet>,
     next: usize,
 }
 
@@ -139,7 +141,7 @@ impl Forecaster {
         Some(match kind {
             0 => {
                 let camera = outlook.motion.predicted(AHEAD[horizon]);
-                let front = Arc::new(front(&self.skeleton, &camera, self.size, self.lod_px));
+                let front = front(&self.skeleton, &camera, self.size, self.lod_px);
                 let standing = map_onto_front(&self.skeleton, &outlook.visible, &front);
                 let found = (Event::LodSwitch, levels(&standing));
                 self.steps.fronts.push(front);
@@ -170,11 +172,12 @@ impl Forecaster {
     }
 
     /// Entries that the present frustum does not hold, nearest first.
-    fn entering(&self, horizon: usize, outlook: &Outlook) -> Vec<FrontEntry> {
-        let now = front(&self.skeleton, &outlook.motion.now, self.size, self.lod_px);
-        let held = now.entries.iter().map(|entry| entry.hlod).collect();
-        let front = &self.steps.fronts[horizon];
-        let standing = map_onto_front(&self.skeleton, &VisibleSet::from_sorted(held), front);
+    fn entering(&mut self, horizon: usize, outlook: &Outlook) -> Vec<FrontEntry> {
+        let held = self.steps.present.get_or_insert_with(|| {
+            let now = front(&self.skeleton, &outlook.motion.now, self.size, self.lod_px);
+            VisibleSet::from_sorted(now.entries.iter().map(|entry| entry.hlod).collect())
+        });
+        let standing = map_onto_front(&self.skeleton, held, &self.steps.fronts[horizon]);
         let known: BTreeSet<HlodId> = standing.iter().map(|entry| entry.hlod).collect();
         self.nearest_first(horizon, outlook, |hlod| !known.contains(&hlod))
     }

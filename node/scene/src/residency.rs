@@ -45,16 +45,6 @@ impl Residency {
         self.blobs[blob.index()].is_some()
     }
 
-    /// How many it holds.
-    pub fn len(&self) -> usize {
-        self.by_age.len()
-    }
-
-    /// It holds none.
-    pub fn is_empty(&self) -> bool {
-        self.by_age.is_empty()
-    }
-
     /// Notes an upload. `foreseen`: before it was needed.
     ///
     /// # Panics
@@ -108,7 +98,9 @@ mod tests {
     #[test]
     fn of_nothing_nothing_goes() {
         let residency = Residency::new(0);
-        assert!(residency.is_empty() && residency.older_than(9).next().is_none());
+        assert!(
+            residency.older_than(9).next().is_none() && residency.used_since(0).next().is_none()
+        );
     }
 
     #[test]

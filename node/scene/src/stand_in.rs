@@ -5,7 +5,7 @@ use crate::front::{FrontEntry, box_from_eye};
 use crate::view::pixel_at_unit_depth;
 use glam::DVec3;
 use protocol::camera::Camera;
-use protocol::format::{NONE, Skeleton};
+use protocol::format::Skeleton;
 use protocol::id::HlodId;
 use protocol::settings::PictureSize;
 use std::collections::BTreeMap;
@@ -54,7 +54,7 @@ pub fn available(
             None => found.holes += 1,
         }
     }
-    let is_covered = |hlod: HlodId| ancestors(skeleton, hlod).any(|up| chosen.contains_key(&up));
+    let is_covered = |hlod: HlodId| skeleton.ancestors(hlod).any(|up| chosen.contains_key(&up));
     let entries = chosen.iter().filter(|(hlod, _)| !is_covered(**hlod));
     found.entries = entries.map(|(&hlod, &level)| FrontEntry { hlod, level }).collect();
     let error = |&(hlod, level): &(HlodId, u32)| {
@@ -87,20 +87,12 @@ fn stand_in(
     let (first, end) = (hlod.first_level, hlod.first_level + hlod.level_count);
     let own = (entry.level + 1..end).chain((first..entry.level).rev()).find(|&l| is_there(l));
     own.map(|level| (entry.hlod, level)).or_else(|| {
-        ancestors(skeleton, entry.hlod).find_map(|id| {
+        skeleton.ancestors(entry.hlod).find_map(|id| {
             let hlod = skeleton.hlod(id);
             let mut levels = hlod.first_level..hlod.first_level + hlod.level_count;
             levels.find(|&level| is_there(level)).map(|level| (id, level))
         })
     })
-}
-
-/// The parent of `hlod` and so on up to the root.
-fn ancestors(skeleton: &Skeleton, hlod: HlodId) -> impl Iterator<Item = HlodId> {
-    let parent = move |id: &HlodId| {
-        Some(skeleton.hlod(*id).parent).filter(|&parent| parent != NONE).map(HlodId)
-    };
-    std::iter::successors(parent(&hlod), parent)
 }
 
 /// The coarsest complete cut: of each branch the coarsest level of the highest hlod that has any.
@@ -165,11 +157,11 @@ mod tests {
             let mut holes = 0;
             for entry in &front {
                 let count = std::iter::once(entry.hlod)
-                    .chain(ancestors(skeleton, entry.hlod))
+                    .chain(skeleton.ancestors(entry.hlod))
                     .filter(|&id| drawn(id))
                     .count();
                 let levels = std::iter::once(entry.hlod)
-                    .chain(ancestors(skeleton, entry.hlod))
+                    .chain(skeleton.ancestors(entry.hlod))
                     .flat_map(|id| {
                         let hlod = skeleton.hlod(id);
                         hlod.first_level..hlod.first_level + hlod.level_count

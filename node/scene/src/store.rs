@@ -95,17 +95,6 @@ impl Store {
         Ok(bytes)
     }
 
-    /// Has the system read a blob ahead, and does not wait for it.
-    ///
-    /// It pays some blobs ahead of [`Store::read_blob`] where the order is not the file's; in that
-    /// order the system reads ahead by itself, and better.
-    ///
-    /// # Panics
-    /// If the scene has no such blob.
-    pub fn will_need(&self, id: BlobId) {
-        self.file.will_need(self.range(Content::Blob(id)));
-    }
-
     /// Reads a texture's mips ([`protocol::format::texture`]).
     ///
     /// # Errors

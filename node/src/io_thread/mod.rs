@@ -264,9 +264,7 @@ impl<S: Source> Reader<S> {
     /// Marks the blobs of a level as likely to be needed, and has read those that are not there, as
     /// long as there is room for all that is likely.
     fn expect(&mut self, level: u32) {
-        let level = &self.skeleton.levels[level as usize];
-        for part in self.skeleton.parts_of(level) {
-            let blob = BlobId(part.blob);
+        for blob in self.skeleton.blobs_of(level) {
             let length = self.skeleton.blob(blob).bytes;
             if self.likely.has(blob) {
                 continue;

@@ -241,6 +241,18 @@ impl Skeleton {
         &self.parts[level.first_part as usize..][..level.part_count as usize]
     }
 
+    /// The meshes of the level of this index, in the order of its parts.
+    pub fn blobs_of(&self, level: u32) -> impl Iterator<Item = BlobId> {
+        self.parts_of(&self.levels[level as usize]).iter().map(|part| BlobId(part.blob))
+    }
+
+    /// The parent of `hlod` and so on up to the root.
+    pub fn ancestors(&self, hlod: HlodId) -> impl Iterator<Item = HlodId> {
+        let parent =
+            |id: &HlodId| Some(self.hlod(*id).parent).filter(|&id| id != super::NONE).map(HlodId);
+        std::iter::successors(parent(&hlod), parent)
+    }
+
     /// Placement of a part.
     pub fn transform_of(&self, part: &Part) -> Transform {
         match part.transform {

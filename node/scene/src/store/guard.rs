@@ -7,11 +7,10 @@
 
 use std::fs::File;
 use std::io::{self, Read};
-use std::ops::Range;
 
 #[cfg(target_os = "linux")]
 use {
-    memmap2::{Advice, MmapOptions, MmapRaw, UncheckedAdvice},
+    memmap2::{MmapOptions, MmapRaw, UncheckedAdvice},
     std::sync::atomic::{AtomicUsize, Ordering},
 };
 
@@ -76,19 +75,6 @@ impl Guarded {
         // What the map does not yield is asked of the file, which has it or can say why not.
         let done = self.copy_mapped(at, out);
         read_exact_at(&self.file, &mut out[done..], at + done as u64)
-    }
-
-    /// Has the system read ahead what is not cached yet, where it offers that for a map.
-    pub(super) fn will_need(&self, range: Range<u64>) {
-        #[cfg(target_os = "linux")]
-        let advice = {
-            let (start, len) = (range.start as usize, (range.end - range.start) as usize);
-            self.map.advise_range(Advice::WillNeed, start, len)
-        };
-        #[cfg(not(target_os = "linux"))]
-        let advice = range;
-        // Whoever reads later hears what is wrong.
-        drop(advice);
     }
 
     /// All bytes, from the first on.

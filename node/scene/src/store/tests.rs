@@ -245,7 +245,6 @@ fn little_of_what_was_read_stays_resident() {
     let orders = [|i| i, |i| if i % 2 == 0 { i / 2 } else { LARGE - 1 - i / 2 }, |i| i * 7 % LARGE];
     for order in orders {
         for i in 0..LARGE {
-            store.will_need(BlobId(order(i)));
             store.read_blob(BlobId(order(i)), &mut out).unwrap();
             let resident = resident_bytes(&store);
             assert!(resident <= 5 << 20, "{resident} of {} bytes", store.bytes());
