@@ -41,6 +41,7 @@ fn under_any_cap_the_pictures_are_the_same_and_the_cap_holds() {
                 replay(&scene, &format!("{backend}-{kind}-{name}"), &path, &all)
             };
             let whole = of("whole", &["--prefetch", "off"]);
+            let mut misses = 0.0;
             for (share, prefetch) in [(2, "on"), (4, "on"), (10, "on"), (10, "off")] {
                 let cap = (geometry / share).max(2 << 20);
                 let name = format!("{share}-{prefetch}");
@@ -51,7 +52,10 @@ fn under_any_cap_the_pictures_are_the_same_and_the_cap_holds() {
                 assert_eq!(run.number("/memory/cap"), cap as f64);
                 if prefetch == "off" {
                     assert_eq!(run.number("/io/prefetched"), 0.0);
+                    let without = run.number("/io/misses");
+                    assert!(misses < without / 2.0, "{backend} {kind}: {misses} of {without}");
                 }
+                misses = run.number("/io/misses");
             }
         }
     }

@@ -15,14 +15,15 @@ use protocol::visible::VisibleSet;
 use scene::backend::Draws;
 use scene::backend::{Backend, Part, Upload};
 use scene::front::FrontEntry;
-use scene::prefetch::{Motion, Outlook};
+use scene::prefetch::{LOOKED_AHEAD, Outlook};
 use scene::residency::{Residency, Stamp, Use};
+use scene::trajectory::Trajectory;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Instant;
 
 /// Bytes a frame takes in of what nobody waits for.
-const UPLOAD_BYTES: u64 = 8 << 20;
+const UPLOAD_BYTES: u64 = 16 << 20;
 
 /// Geometry of one backend.
 pub(crate) struct Loader {
@@ -35,10 +36,15 @@ pub(crate) struct Loader {
     now: Stamp,
     /// Blobs that cannot be read.
     lost: Vec<bool>,
-    /// The first camera was seen.
-    is_expecting: bool,
-    /// Last cameras, by frame.
-    cameras: [Option<(FrameIndex, Camera)>; 3],
+    /// The last outlook given.
+    outlook: Option<Outlook>,
+    trajectory: Trajectory,
+    /// The camera drawn last.
+    drawn: Option<Camera>,
+    /// Frames to be drawn here, as far ahead as is looked.
+    ahead: Vec<FrameIndex>,
+    /// What was visible last, as far as is known here.
+    visible: Arc<VisibleSet>,
     /// Bytes this frame may still take in of what nobody waits for.
     upload_left: u64,
     peak: Arc<AtomicU64>,
@@ -72,8 +78,11 @@ impl Loader {
             prefetch,
             now: 0,
             lost: vec![false; blobs],
-            is_expecting: false,
-            cameras: [None; 3],
+            outlook: None,
+            trajectory: Trajectory::default(),
+            drawn: None,
+            ahead: Vec::new(),
+            visible: Arc::new(VisibleSet::from_sorted(Vec::new())),
             upload_left: UPLOAD_BYTES,
             peak,
             counts: IoCounts::default(),
@@ -115,7 +124,7 @@ impl Loader {
         let is_missing =
             |own: &Self, blob: &BlobId| !own.residency.holds(*blob) && !own.lost[blob.index()];
         while blobs.iter().any(|blob| is_missing(self, blob)) {
-            let arrival = self.io.arrivals.recv().map_err(|_| RoleError::IoThread)?;
+            let arrival = self.io.wait().ok_or(RoleError::IoThread)?;
             self.take_in(backend, arrival)?;
         }
         for blob in blobs {
@@ -206,7 +215,7 @@ impl Loader {
         if !orders.is_empty() {
             self.io.fetch(orders);
         }
-        self.io.arrivals.recv().map_err(|_| RoleError::IoThread)
+        self.io.wait().ok_or(RoleError::IoThread)
     }
 
     /// Takes in what a list waits for, at the cost of what the list has drawn or draws last.
@@ -333,48 +342,60 @@ impl Loader {
         }
     }
 
-    /// Has the front of the first camera read ahead, before anybody knows what of it is visible; and then,
-    /// where the scene fits, all the rest. A node that never draws never loads.
-    pub(crate) fn foresee_first(&mut self, camera: &Camera) {
-        if self.is_expecting || !self.prefetch {
-            return;
+    /// Learns the camera of a frame and which frames are to be drawn here next, and has read ahead what
+    /// that lets expect: at first the front of the first camera, before anybody knows what of it is
+    /// visible, and where the scene fits, all the rest. A node that never draws never loads.
+    pub(crate) fn look_ahead(
+        &mut self,
+        newest: Option<(FrameIndex, Camera)>,
+        ahead: Vec<FrameIndex>,
+    ) {
+        if let Some((frame, camera)) = newest {
+            self.trajectory.note(frame, camera);
         }
-        self.is_expecting = true;
-        let motion = Motion { earlier_eye: None, before: *camera, now: *camera, frames: 1 };
-        self.read_ahead(Outlook { motion, visible: Arc::new(VisibleSet::whole_scene()) });
-        if self.budget.fits {
+        self.ahead = ahead;
+        let is_first = self.outlook.is_none();
+        self.foresee();
+        if is_first && self.outlook.is_some() && self.budget.fits {
             self.io.foresee(Order::Everything);
         }
     }
 
-    /// Learns where the camera of a frame is and what is visible, and has read ahead what that lets
-    /// expect. A scene that fits is on its way as a whole, and no word is lost.
-    pub(crate) fn foresee(
-        &mut self,
-        frame: FrameIndex,
-        camera: &Camera,
-        visible: &Arc<VisibleSet>,
-    ) {
-        if self.cameras[2].is_none_or(|(last, _)| last < frame) {
-            self.cameras = [self.cameras[1], self.cameras[2], Some((frame, *camera))];
+    /// Learns what is visible in a frame, which is drawn if that was to be done here, and has read ahead
+    /// what that lets expect.
+    pub(crate) fn note_visible(&mut self, frame: FrameIndex, visible: &Arc<VisibleSet>) {
+        if self.ahead.contains(&frame) {
+            self.drawn = self.trajectory.at(frame);
+            self.ahead.retain(|&next| next > frame);
         }
-        if !self.prefetch || self.budget.fits {
-            return;
-        }
-        let [earlier, before, Some((last, now))] = self.cameras else { return };
-        let (first, before) = before.unwrap_or((last, now));
-        let frames = (last.0 - first.0).max(1);
-        let is_even = |(earliest, _): &(FrameIndex, Camera)| first.0 - earliest.0 == frames;
-        let earlier_eye = earlier.filter(is_even).map(|(_, camera)| camera.eye);
-        let motion = Motion { earlier_eye, before, now, frames };
-        self.read_ahead(Outlook { motion, visible: Arc::clone(visible) });
+        self.visible = Arc::clone(visible);
+        self.foresee();
     }
 
-    fn read_ahead(&self, outlook: Outlook) {
+    /// A scene that fits is on its way as a whole from the first outlook on, and no word is lost.
+    fn foresee(&mut self) {
+        if !self.prefetch || (self.budget.fits && self.outlook.is_some()) {
+            return;
+        }
+        let next = self.ahead.iter().take(LOOKED_AHEAD);
+        let ahead: Vec<Camera> = next.filter_map(|&frame| self.trajectory.at(frame)).collect();
+        if ahead.is_empty() {
+            return;
+        }
+        let outlook = Outlook { drawn: self.drawn, ahead, visible: Arc::clone(&self.visible) };
+        if self.outlook.as_ref().is_some_and(|last| says_as_much(last, &outlook)) {
+            return;
+        }
         // What the present drawing uses stays; the rest makes room.
         let in_use: Vec<BlobId> = self.residency.used_since(self.now).collect();
         let used = in_use.iter().map(|&blob| self.skeleton.blob(blob).bytes);
         let room = self.budget.device.saturating_sub(used.sum());
-        self.io.foresee(Order::Foresee { outlook, in_use, room });
+        self.io.foresee(Order::Foresee { outlook: outlook.clone(), in_use, room });
+        self.outlook = Some(outlook);
     }
+}
+
+/// What comes next is the same in both.
+fn says_as_much(last: &Outlook, new: &Outlook) -> bool {
+    Arc::ptr_eq(&last.visible, &new.visible) && last.ahead[0] == new.ahead[0]
 }

@@ -4,6 +4,7 @@
 //! ping is answered while a long cull runs.
 
 use crate::net::{self, Inbox, LinkError, Outbox, PeerLink, Peers, Stream};
+use crate::role::Coming;
 use crate::telemetry::{Clock, peak_rss};
 use crate::worker::{Done, Job, Worker};
 use crate::{NodeError, worker};
@@ -20,6 +21,8 @@ use tokio::sync::mpsc;
 
 /// Events that may wait for the session; readers and the worker wait beyond that.
 const QUEUED: usize = 256;
+/// Drawings to come that the worker is told of: the phase's own, and what is looked ahead at after it.
+const DRAWINGS_TOLD: usize = 3;
 /// How long a node that is done waits for the coordinator to hang up.
 const FAREWELL: Duration = Duration::from_secs(10);
 
@@ -136,7 +139,7 @@ impl Runner {
         match event {
             Event::Message(from, message) => {
                 if let Message::Phase { phase, next_camera } = &message {
-                    self.foresee(*phase, *next_camera);
+                    self.prepare(*phase, *next_camera);
                     self.node.update_process(self.process_state());
                 }
                 self.node.handle_message(now, from, message);
@@ -195,31 +198,28 @@ impl Runner {
         }
     }
 
-    /// Has the front of this phase's camera made before the visible set it waits for has come.
-    fn foresee(&mut self, phase: Phase, next_camera: Option<Camera>) {
+    /// Lets the worker prepare a phase before the visible set it waits for has come.
+    fn prepare(&mut self, phase: Phase, next_camera: Option<Camera>) {
         let present = std::mem::replace(&mut self.camera, next_camera);
         let Some((seat, settings)) = &self.run else { return };
+        let next_frame = u32::try_from(phase.0 + 1).ok().map(FrameIndex);
         let work = schedule::role(settings.schedule, *seat, phase, settings.frames);
-        let frame_is = |offset| {
-            work.is_some_and(|(_, FrameIndex(frame))| {
-                i64::from(frame) == i64::from(phase.0) + offset
-            })
+        let front = match work {
+            Some((_, frame)) if Some(frame) == next_frame => next_camera,
+            Some((_, frame)) if i64::from(frame.0) == i64::from(phase.0) => present,
+            _ => None,
         };
-        let camera = if frame_is(1) {
-            next_camera
-        } else if frame_is(0) {
-            present
-        } else {
-            None
-        };
-        let draws = work.is_some_and(|(role, _)| match role {
+        let draws = |role| match role {
             Role::OcclusionRepresentation => settings.cull != Cull::Off,
             Role::HardwareCull => false,
             Role::RenderVisibleGeometry => true,
-        });
-        if let Some(camera) = camera {
-            self.worker.order(Job::MakeFront { camera, draws });
-        }
+        };
+        let coming = schedule::work_from(settings.schedule, *seat, phase, settings.frames)
+            .filter_map(|(role, frame)| draws(role).then_some(frame))
+            .take(DRAWINGS_TOLD)
+            .collect();
+        let newest = next_frame.zip(next_camera);
+        self.worker.order(Job::Prepare(Coming { newest, front, draws: coming }));
     }
 
     /// Does what the session wants until it wants nothing; some once the run is over for this node.

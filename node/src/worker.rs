@@ -2,6 +2,7 @@
 
 use crate::open::{Scene, open};
 use crate::pictures::PictureWriter;
+use crate::role::Coming;
 use crate::role::audit::{self, Measured};
 use crate::role::{hardware_cull, occlusion_representation, render_visible_geometry};
 use crate::runner::Event;
@@ -26,8 +27,8 @@ const QUEUED: usize = 8;
 pub(crate) enum Job {
     /// Open the scene and start the backend.
     Open { settings: RunSettings },
-    /// Make the front of a camera that is about to be needed; `draws`: for geometry, too.
-    MakeFront { camera: Camera, draws: bool },
+    /// A phase begins.
+    Prepare(Coming),
     /// OR: make the depth of `frame`.
     Occlude { frame: FrameIndex, camera: Camera, occluders: Arc<VisibleSet> },
     /// HC: find V_frame.
@@ -147,12 +148,12 @@ fn serve(
         let times = |io: IoCounts| WorkTimes { started, finished: clock.now(), io };
         match job {
             Job::Open { .. } => unreachable!("a session prepares once"),
-            Job::MakeFront { camera, draws } => stage.make_front(&camera, draws),
+            Job::Prepare(coming) => stage.prepare(coming),
             Job::Occlude { frame, camera, occluders } => {
                 let counts = occlusion_representation::run(&mut stage, &camera, &occluders)?;
                 let times = times(stage.take_io());
                 say(Done::Occluded { frame, times, counts })?;
-                stage.foresee(frame, &camera, &occluders);
+                stage.note_visible(frame, &occluders);
             }
             Job::Cull { frame, camera } => {
                 let mut part_said = Ok(());
@@ -166,7 +167,7 @@ fn serve(
                 part_said?;
                 let times = times(stage.take_io());
                 say(Done::Culled { frame, times, counts })?;
-                stage.foresee(frame, &camera, &Arc::new(VisibleSet::from_sorted(visible)));
+                stage.note_visible(frame, &Arc::new(VisibleSet::from_sorted(visible)));
             }
             Job::Render { frame, camera, visible } => {
                 let audited = is_nth(frame, settings.audit_every);
@@ -174,10 +175,11 @@ fn serve(
                 let times = times(stage.take_io());
                 let measuring = clock.now();
                 let counted = is_nth(frame, settings.items_every);
-                let Measured { audit, hlods_with_pixels } =
+                let Measured { audit, hlods_with_pixels, stand_in_error_px } =
                     audit::measure(&mut stage, &camera, &drawn, audited, counted)?;
                 let mut counts = drawn.counts;
                 (counts.audit, counts.hlods_with_pixels) = (audit, hlods_with_pixels);
+                counts.missing.error_px = stand_in_error_px;
                 counts.picture_hash = Some(role::picture_hash(&drawn.picture.rgba));
                 if let Some(pictures) = &mut pictures {
                     pictures.write(frame, drawn.picture.rgba)?;
@@ -186,7 +188,7 @@ fn serve(
                 // Loading for the audit's sake is not the role's.
                 stage.take_io();
                 say(Done::Rendered { frame, times, counts })?;
-                stage.foresee(frame, &camera, &visible);
+                stage.note_visible(frame, &visible);
             }
         }
     }

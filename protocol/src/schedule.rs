@@ -65,6 +65,17 @@ pub fn role(
     Some((role, FrameIndex(frame)))
 }
 
+/// The work of `seat` from `phase` on, in order.
+pub fn work_from(
+    schedule: Schedule,
+    seat: Seat,
+    phase: Phase,
+    frames: u32,
+) -> impl Iterator<Item = (Role, FrameIndex)> {
+    let phases = (phase.0..=last_phase(schedule, frames).0).map(Phase);
+    phases.filter_map(move |phase| role(schedule, seat, phase, frames))
+}
+
 /// The seat that does `wanted` for `frame`.
 pub fn seat_of(schedule: Schedule, wanted: Role, frame: FrameIndex) -> Seat {
     let frame = frame.0;
@@ -144,6 +155,23 @@ mod tests {
                 let expected = Some((Role::HardwareCull, FrameIndex(frame)));
                 assert_eq!(role(schedule, seat, before.next(), FRAMES), expected);
             }
+        }
+    }
+
+    #[test]
+    fn the_work_of_all_seats_is_every_role_of_every_frame_once() {
+        for schedule in [Schedule::Switch, Schedule::Rotate] {
+            let of = |seat| work_from(schedule, seat, Phase::FIRST, FRAMES);
+            let mut all: Vec<_> = SEATS.iter().flat_map(|&seat| of(seat)).collect();
+            all.sort();
+            let frames = |role| (0..FRAMES).map(move |frame| (role, FrameIndex(frame)));
+            let expected: Vec<_> = frames(Role::OcclusionRepresentation)
+                .chain(frames(Role::HardwareCull))
+                .chain(frames(Role::RenderVisibleGeometry))
+                .collect();
+            assert_eq!(all, expected);
+            let late = work_from(schedule, SEATS[0], last_phase(schedule, FRAMES).next(), FRAMES);
+            assert_eq!(late.count(), 0);
         }
     }
 

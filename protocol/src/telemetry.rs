@@ -57,7 +57,7 @@ pub struct DrawCounts {
     pub picture_hash: Option<u64>,
     /// On audited frames (RVG alone).
     pub audit: Option<Audit>,
-    /// Time spent on audit, item buffer and the picture file, inside the phase but not in `work`.
+    /// Time spent on audit, item buffer, stand-ins' error and the picture file, inside the phase but not in `work`.
     pub measuring_ns: Nanos,
     /// What was not there.
     pub missing: Missing,
@@ -70,7 +70,7 @@ pub struct Missing {
     pub replaced: u32,
     /// Hlods that nothing stood for: holes in the picture.
     pub holes: u32,
-    /// Greatest error of what stood in, pixels.
+    /// Greatest error of what stood in, where it is seen, pixels (RVG).
     pub error_px: f64,
 }
 

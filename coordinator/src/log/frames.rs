@@ -73,7 +73,7 @@ pub struct FrameRow {
     pub replaced: u32,
     /// Hlods of the picture that nothing stood for.
     pub holes: u32,
-    /// Greatest error of what stood in, pixels.
+    /// Pixels by which the picture strays at most where something stood in.
     pub stand_in_error_px: f64,
     /// Blobs that were there when needed, all nodes.
     pub io_hits: u64,

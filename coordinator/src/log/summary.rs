@@ -116,7 +116,7 @@ pub struct StandIns {
     pub replaced: u64,
     /// Hlods that nothing stood for.
     pub holes: u64,
-    /// Greatest error of what stood in, pixels.
+    /// Pixels by which the picture strays at most where something stood in.
     pub error_px: f64,
 }
 

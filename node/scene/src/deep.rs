@@ -110,6 +110,36 @@ impl DeepError {
     }
 }
 
+/// The original surface of a file, to hold points against.
+pub struct Original<'a>(Leaves<'a>);
+
+impl<'a> Original<'a> {
+    /// That of `store`; at most `cache_bytes` of search trees are kept.
+    pub fn new(store: &'a Store, cache_bytes: usize) -> Self {
+        Self(Leaves::new(store, cache_bytes))
+    }
+
+    /// Distance of a point to the original surface below an hlod, scene units.
+    pub fn distance(&self, below: HlodId, point: [f64; 3]) -> Result<f64, StoreError> {
+        Ok(self.0.farthest(below, &[point.into()])?.0)
+    }
+}
+
+/// The surface of one level.
+pub struct LevelSurface(Surface);
+
+impl LevelSurface {
+    /// That of `level`.
+    pub fn new(store: &Store, level: &Level) -> Result<Self, StoreError> {
+        Ok(Self(Surface::of_triangles(leaves::placed(store, level)?.triangles.into_iter())))
+    }
+
+    /// Distance of a point to it, scene units.
+    pub fn distance(&self, point: [f64; 3]) -> f64 {
+        self.0.distance(point.into(), 0.0, &mut 0)
+    }
+}
+
 /// A level held against the original.
 #[derive(Debug, Clone, Copy)]
 struct Measured {

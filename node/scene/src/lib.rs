@@ -14,5 +14,6 @@ mod random_scene;
 pub mod residency;
 pub mod stand_in;
 pub mod store;
+pub mod trajectory;
 pub mod verify;
 pub mod view;

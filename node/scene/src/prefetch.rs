@@ -1,14 +1,14 @@
 //! What will be needed next: the events that change the front under a predicted camera (paper 004,
 //! sections 5.3 and 5.5).
 //!
-//! In the paper's order: first LOD switching, what stands for the present visible set at the levels of
-//! the camera to come; then visibility, which the paper left open: what was visible not long ago, the
-//! siblings of what is visible, and what enters the frustum, the nearest first. Where there is room for
-//! more, what is hidden in the frustum comes last.
+//! In the paper's order, camera after camera: first LOD switching, what stands for the present visible set
+//! at the levels of the camera to come; then visibility, which the paper left open: what was visible not
+//! long ago, the siblings of what is visible, and what enters the frustum, the nearest first. Where there
+//! is room for more, what is hidden in the frustum comes last.
 
 use crate::front::{Front, FrontEntry, box_from_eye, front};
 use crate::occluders::map_onto_front;
-use glam::{DMat3, DQuat, DVec3};
+use glam::DVec3;
 use protocol::camera::Camera;
 use protocol::format::Skeleton;
 use protocol::id::HlodId;
@@ -17,55 +17,8 @@ use protocol::visible::VisibleSet;
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
-/// Frames ahead that are looked at.
-const AHEAD: [u32; 2] = [1, 4];
-/// Frames for which what was visible counts as likely to become visible again.
+/// Outlooks for which what was visible counts as likely to become visible again.
 const REMEMBERED: u32 = 240;
-
-/// Cameras some frames apart.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Motion {
-    /// Where the eye was as many frames before the earlier camera as that is before the present one,
-    /// where that is known.
-    pub earlier_eye: Option<[f64; 3]>,
-    /// The earlier one.
-    pub before: Camera,
-    /// The present one.
-    pub now: Camera,
-    /// Frames between them, at least 1.
-    pub frames: u32,
-}
-
-impl Motion {
-    /// The camera `ahead` frames after the present one if it keeps its turn, and its eye its acceleration
-    /// (or its speed, where no more is known).
-    pub fn predicted(&self, ahead: u32) -> Camera {
-        let share = f64::from(ahead) / f64::from(self.frames.max(1));
-        let (from, to) = (turn_of(&self.before), turn_of(&self.now));
-        let (axis, angle) = (to * from.inverse()).normalize().to_axis_angle();
-        // The short way round.
-        let angle =
-            if angle > std::f64::consts::PI { angle - 2.0 * std::f64::consts::PI } else { angle };
-        let turned = DQuat::from_axis_angle(axis, angle * share);
-        let turn = |v: [f32; 3]| {
-            let v = DVec3::from_array(v.map(f64::from));
-            (turned * v).normalize_or(v).to_array().map(|c| c as f32)
-        };
-        let eye = std::array::from_fn(|k| {
-            let (now, before) = (self.now.eye[k], self.before.eye[k]);
-            let way = now - before;
-            let gain = self.earlier_eye.map_or(0.0, |earlier| way - (before - earlier[k]));
-            now + way * share + gain * (share * (share + 1.0) / 2.0)
-        });
-        Camera { eye, forward: turn(self.now.forward), up: turn(self.now.up), ..self.now }
-    }
-}
-
-fn turn_of(camera: &Camera) -> DQuat {
-    let wide = |v: [f32; 3]| DVec3::from_array(v.map(f64::from));
-    let (forward, up) = (wide(camera.forward), wide(camera.up));
-    DQuat::from_mat3(&DMat3::from_cols(forward.cross(up), up, -forward)).normalize()
-}
 
 /// Why something is likely to be needed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -80,12 +33,29 @@ pub enum Event {
     Hidden,
 }
 
+/// What a forecast names, in order of need: events, and under which of the cameras ahead. Of what is
+/// hidden only the nearest camera's counts: until a later one comes, there will be a newer forecast.
+const STEPS: [(Event, usize); 7] = [
+    (Event::LodSwitch, 0),
+    (Event::Unoccluded, 0),
+    (Event::Entering, 0),
+    (Event::LodSwitch, 1),
+    (Event::Unoccluded, 1),
+    (Event::Entering, 1),
+    (Event::Hidden, 0),
+];
+/// Cameras that a forecast looks at; those beyond are not.
+pub const LOOKED_AHEAD: usize = 2;
+
 /// What a forecast is made from.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Outlook {
-    /// Where the camera goes.
-    pub motion: Motion,
-    /// What is visible.
+    /// The camera drawn last, if any was.
+    pub drawn: Option<Camera>,
+    /// The cameras to be drawn next, known or predicted ([`crate::trajectory`]), the nearest in time
+    /// first; [`LOOKED_AHEAD`] of them are looked at.
+    pub ahead: Vec<Camera>,
+    /// What is visible, as far as is known; empty where nothing is.
     pub visible: Arc<VisibleSet>,
 }
 
@@ -107,7 +77,7 @@ struct Steps {
     fronts: Vec<Front>,
     /// Entries that stand for the visible set, by horizon.
     standing: Vec<Vec<FrontEntry>>,
-    /// The front of the present camera, once it is needed.
+    /// What the front of the last drawing held, once it is needed.
     present: Option<VisibleSet>,
     next: usize,
 }
@@ -134,28 +104,27 @@ impl Forecaster {
     /// forecast is complete. Each call does a part of the work.
     pub fn next_levels(&mut self) -> Option<(Event, Vec<u32>)> {
         let outlook = self.steps.outlook.clone()?;
-        let step = self.steps.next;
-        self.steps.next += 1;
-        let (kind, horizon) = (step / AHEAD.len(), step % AHEAD.len());
-        let levels = |entries: &[FrontEntry]| entries.iter().map(|entry| entry.level).collect();
-        Some(match kind {
-            0 => {
-                let camera = outlook.motion.predicted(AHEAD[horizon]);
-                let front = front(&self.skeleton, &camera, self.size, self.lod_px);
+        let left = STEPS.iter().skip(self.steps.next);
+        let Some(skipped) = left.clone().position(|(_, camera)| *camera < outlook.ahead.len())
+        else {
+            self.steps = Steps::default();
+            return None;
+        };
+        let (event, horizon) = STEPS[self.steps.next + skipped];
+        self.steps.next += skipped + 1;
+        let entries = match event {
+            Event::LodSwitch => {
+                let front = front(&self.skeleton, &outlook.ahead[horizon], self.size, self.lod_px);
                 let standing = map_onto_front(&self.skeleton, &outlook.visible, &front);
-                let found = (Event::LodSwitch, levels(&standing));
                 self.steps.fronts.push(front);
-                self.steps.standing.push(standing);
-                found
+                self.steps.standing.push(standing.clone());
+                standing
             }
-            1 => (Event::Unoccluded, levels(&self.likely(horizon))),
-            2 => (Event::Entering, levels(&self.entering(horizon, &outlook))),
-            3 => (Event::Hidden, levels(&self.nearest_first(horizon, &outlook, |_| true))),
-            _ => {
-                self.steps = Steps::default();
-                return None;
-            }
-        })
+            Event::Unoccluded => self.likely(horizon),
+            Event::Entering => self.entering(horizon, &outlook),
+            Event::Hidden => self.nearest_first(horizon, &outlook, |_| true),
+        };
+        Some((event, entries.iter().map(|entry| entry.level).collect()))
     }
 
     /// Entries that stand for what was visible lately, then siblings of what is visible.
@@ -171,11 +140,12 @@ impl Forecaster {
         likely
     }
 
-    /// Entries that the present frustum does not hold, nearest first.
+    /// Entries that the frustum of the last drawing did not hold, nearest first.
     fn entering(&mut self, horizon: usize, outlook: &Outlook) -> Vec<FrontEntry> {
         let held = self.steps.present.get_or_insert_with(|| {
-            let now = front(&self.skeleton, &outlook.motion.now, self.size, self.lod_px);
-            VisibleSet::from_sorted(now.entries.iter().map(|entry| entry.hlod).collect())
+            let of = |camera| front(&self.skeleton, &camera, self.size, self.lod_px).entries;
+            let entries = outlook.drawn.map(of).unwrap_or_default();
+            VisibleSet::from_sorted(entries.iter().map(|entry| entry.hlod).collect())
         });
         let standing = map_onto_front(&self.skeleton, held, &self.steps.fronts[horizon]);
         let known: BTreeSet<HlodId> = standing.iter().map(|entry| entry.hlod).collect();
@@ -190,7 +160,7 @@ impl Forecaster {
         is_meant: impl Fn(HlodId) -> bool,
     ) -> Vec<FrontEntry> {
         let front = &self.steps.fronts[horizon];
-        let camera = outlook.motion.predicted(AHEAD[horizon]);
+        let camera = &outlook.ahead[horizon];
         let distance = |entry: &FrontEntry| {
             box_from_eye(self.skeleton.hlod(entry.hlod), camera.eye).distance(DVec3::ZERO)
         };
@@ -209,63 +179,6 @@ mod tests {
 
     const SIZE: PictureSize = PictureSize { width: 64, height: 48 };
 
-    fn look(eye: [f64; 3], target: [f64; 3]) -> Camera {
-        Camera::look_at(eye, target, [0.0, 0.0, 1.0], 60.0, 0.1).unwrap()
-    }
-
-    fn angle(a: [f32; 3], b: [f32; 3]) -> f32 {
-        (0..3).map(|k| (a[k] - b[k]).powi(2)).sum::<f32>().sqrt()
-    }
-
-    #[test]
-    fn a_steady_camera_is_predicted() {
-        let at = |frame: f64| {
-            let (sin, cos) = (0.3 + 0.04 * frame).sin_cos();
-            let eye = [1e7 + 2.0 * frame, -frame, 3.0];
-            look(eye, [eye[0] + cos, eye[1] + sin, eye[2]])
-        };
-        for frames in [1, 2, 5] {
-            let earlier_eye = Some(at(-f64::from(frames)).eye);
-            let now = at(f64::from(frames));
-            let motion = Motion { earlier_eye, before: at(0.0), now, frames };
-            for ahead in [0, 1, 8] {
-                let (found, truth) = (motion.predicted(ahead), at(f64::from(frames + ahead)));
-                assert!((0..3).all(|k| (found.eye[k] - truth.eye[k]).abs() < 1e-6));
-                assert!(angle(found.forward, truth.forward) < 1e-5);
-                assert!(angle(found.up, truth.up) < 1e-5);
-            }
-        }
-    }
-
-    #[test]
-    fn an_eye_on_an_arc_is_predicted_to_the_third_order() {
-        let at = |frame: f64| {
-            let (sin, cos) = (0.05 * frame).sin_cos();
-            look([10.0 * cos, 10.0 * sin, 0.0], [0.0; 3])
-        };
-        let (before, now, truth) = (at(0.0), at(1.0), at(4.0).eye);
-        let off = |earlier_eye| {
-            let found = Motion { earlier_eye, before, now, frames: 1 }.predicted(3).eye;
-            (0..3).map(|k| (found[k] - truth[k]).powi(2)).sum::<f64>().sqrt()
-        };
-        let (straight, bent) = (off(None), off(Some(at(-1.0).eye)));
-        assert!(straight > 0.1 && bent < 0.02, "{straight} {bent}");
-    }
-
-    #[test]
-    fn a_camera_that_stands_or_turns_back_stays_a_camera() {
-        let still = look([1.0, 2.0, 3.0], [4.0, 2.0, 3.0]);
-        let motion = Motion { earlier_eye: None, before: still, now: still, frames: 1 };
-        let found = motion.predicted(8);
-        assert_eq!(found.eye, still.eye);
-        assert!(angle(found.forward, still.forward) < 1e-6);
-        let back = look([1.0, 2.0, 3.0], [-4.0, 2.0, 3.0]);
-        let motion = Motion { earlier_eye: None, before: still, now: back, frames: 1 };
-        let found = motion.predicted(3);
-        let length = found.forward.iter().map(|c| c * c).sum::<f32>();
-        assert!((length - 1.0).abs() < 1e-5, "{found:?}");
-    }
-
     fn all_levels(forecaster: &mut Forecaster) -> Vec<(Event, Vec<u32>)> {
         std::iter::from_fn(|| forecaster.next_levels()).collect()
     }
@@ -275,30 +188,30 @@ mod tests {
         let scene = RandomScene::new(1, 2, 16.0);
         let mut forecaster = Forecaster::new(Arc::new(scene.skeleton), SIZE, 1.0);
         assert!(forecaster.next_levels().is_none());
+        let visible = Arc::new(VisibleSet::whole_scene());
+        forecaster.begin(Outlook { drawn: None, ahead: vec![], visible });
+        assert!(forecaster.next_levels().is_none());
     }
 
     #[test]
     fn levels_come_in_the_order_of_the_events_and_belong_to_the_fronts_to_come() {
         for seed in 0..20 {
             let mut scene = RandomScene::new(seed, 4, 16.0);
-            let (before, now) = (scene.camera(), scene.camera());
-            let motion = Motion { earlier_eye: None, before, now, frames: 8 };
+            let (now, ahead) = (scene.camera(), vec![scene.camera(), scene.camera()]);
             let skeleton = Arc::new(scene.skeleton);
             let here = front(&skeleton, &now, SIZE, 2.0);
             let ids = here.entries.iter().step_by(3).map(|entry| entry.hlod).collect();
             let visible = Arc::new(VisibleSet::from_sorted(ids));
             let mut forecaster = Forecaster::new(Arc::clone(&skeleton), SIZE, 2.0);
-            forecaster.begin(Outlook { motion, visible: Arc::clone(&visible) });
+            let outlook = Outlook { drawn: Some(now), ahead, visible: Arc::clone(&visible) };
+            forecaster.begin(outlook.clone());
             let found = all_levels(&mut forecaster);
-            assert_eq!(found.len(), 4 * AHEAD.len());
-            for (step, (event, levels)) in found.iter().enumerate() {
-                let ahead = AHEAD[step % AHEAD.len()];
-                let expected =
-                    [Event::LodSwitch, Event::Unoccluded, Event::Entering, Event::Hidden];
-                assert_eq!(*event, expected[step / AHEAD.len()]);
-                let then = front(&skeleton, &motion.predicted(ahead), SIZE, 2.0);
+            assert_eq!(found.len(), STEPS.len());
+            for ((event, levels), expected) in found.iter().zip(STEPS) {
+                assert_eq!(*event, expected.0);
+                let then = front(&skeleton, &outlook.ahead[expected.1], SIZE, 2.0);
                 let is_there = |level: &u32| then.entries.iter().any(|e| e.level == *level);
-                assert!(levels.iter().all(is_there), "seed {seed} step {step}");
+                assert!(levels.iter().all(is_there), "seed {seed} {expected:?}");
                 if *event == Event::LodSwitch {
                     let standing = map_onto_front(&skeleton, &visible, &then);
                     assert_eq!(standing.len(), levels.len());
@@ -314,16 +227,15 @@ mod tests {
         let now = scene.camera();
         let skeleton = Arc::new(scene.skeleton);
         let back = Camera { forward: now.forward.map(|c| -c), ..now };
-        let motion = Motion { earlier_eye: None, before: back, now, frames: 1 };
         let here = front(&skeleton, &now, SIZE, 0.0);
         let ids = here.entries.iter().map(|entry| entry.hlod).collect();
         let visible = Arc::new(VisibleSet::from_sorted(ids));
         let mut forecaster = Forecaster::new(Arc::clone(&skeleton), SIZE, 0.0);
-        forecaster.begin(Outlook { motion, visible });
+        forecaster.begin(Outlook { drawn: Some(now), ahead: vec![back, now], visible });
         let named: BTreeSet<u32> =
             all_levels(&mut forecaster).into_iter().flat_map(|(_, levels)| levels).collect();
-        for ahead in AHEAD {
-            let then = front(&skeleton, &motion.predicted(ahead), SIZE, 0.0);
+        for ahead in [back, now] {
+            let then = front(&skeleton, &ahead, SIZE, 0.0);
             assert!(then.entries.iter().all(|entry| named.contains(&entry.level)));
         }
     }
@@ -333,13 +245,15 @@ mod tests {
         let mut scene = RandomScene::new(8, 3, 16.0);
         let now = scene.camera();
         let skeleton = Arc::new(scene.skeleton);
-        let motion = Motion { earlier_eye: None, before: now, now, frames: 1 };
         let here = front(&skeleton, &now, SIZE, 0.0);
         let last = here.entries.last().unwrap().hlod;
         let mut forecaster = Forecaster::new(Arc::clone(&skeleton), SIZE, 0.0);
-        let set = |ids| Arc::new(VisibleSet::from_sorted(ids));
-        forecaster.begin(Outlook { motion, visible: set(vec![last]) });
-        forecaster.begin(Outlook { motion, visible: set(vec![]) });
+        let outlook = |ids| {
+            let visible = Arc::new(VisibleSet::from_sorted(ids));
+            Outlook { drawn: Some(now), ahead: vec![now], visible }
+        };
+        forecaster.begin(outlook(vec![last]));
+        forecaster.begin(outlook(vec![]));
         let found = all_levels(&mut forecaster);
         let level = here.entries.last().unwrap().level;
         for (event, levels) in found {

@@ -1,5 +1,5 @@
 //! What is drawn for hlods whose geometry is not there: the nearest ancestor that is, and the error in
-//! pixels that this causes.
+//! pixels that this is seen to cause.
 
 use crate::front::{FrontEntry, box_from_eye};
 use crate::view::pixel_at_unit_depth;
@@ -15,12 +15,10 @@ use std::collections::BTreeMap;
 pub struct Available {
     /// What is drawn, sorted by hlod.
     pub entries: Vec<FrontEntry>,
-    /// Hlods of the front that something else stands for.
-    pub replaced: u32,
+    /// Hlods of the front that are not drawn at their level, and which of `entries` stands for each.
+    pub replaced: Vec<(HlodId, FrontEntry)>,
     /// Hlods of the front that nothing stands for: holes.
     pub holes: u32,
-    /// Greatest projected error of what stands in, pixels; 0 where nothing does.
-    pub error_px: f64,
 }
 
 /// Replaces every entry whose level `is_there` denies: by another level of the same hlod, the next
@@ -29,53 +27,82 @@ pub struct Available {
 pub fn available(
     skeleton: &Skeleton,
     entries: &[FrontEntry],
-    camera: &Camera,
-    size: PictureSize,
     is_there: impl Fn(u32) -> bool,
 ) -> Available {
     if entries.iter().all(|entry| is_there(entry.level)) {
         return Available { entries: entries.to_vec(), ..Available::default() };
     }
-    let mut found = Available::default();
     let mut chosen: BTreeMap<HlodId, u32> = BTreeMap::new();
-    let mut replaced: Vec<(HlodId, u32)> = Vec::new();
     for entry in entries {
-        if is_there(entry.level) {
-            chosen.insert(entry.hlod, entry.level);
+        let own = is_there(entry.level).then_some((entry.hlod, entry.level));
+        // The finest level of an ancestor is the same for all below it.
+        chosen.extend(own.or_else(|| stand_in(skeleton, entry, &is_there)));
+    }
+    let mut found = Available::default();
+    let mut drawn: BTreeMap<HlodId, u32> = BTreeMap::new();
+    for entry in entries {
+        let up = std::iter::once(entry.hlod).chain(skeleton.ancestors(entry.hlod));
+        let Some(hlod) = up.filter(|up| chosen.contains_key(up)).last() else {
+            found.holes += 1;
             continue;
-        }
-        match stand_in(skeleton, entry, &is_there) {
-            Some((hlod, level)) => {
-                found.replaced += 1;
-                // The finest level of an ancestor is the same for all below it.
-                chosen.insert(hlod, level);
-                replaced.push((hlod, level));
-            }
-            None => found.holes += 1,
+        };
+        let shown = FrontEntry { hlod, level: chosen[&hlod] };
+        drawn.insert(shown.hlod, shown.level);
+        if shown != *entry {
+            found.replaced.push((entry.hlod, shown));
         }
     }
-    let is_covered = |hlod: HlodId| skeleton.ancestors(hlod).any(|up| chosen.contains_key(&up));
-    let entries = chosen.iter().filter(|(hlod, _)| !is_covered(**hlod));
-    found.entries = entries.map(|(&hlod, &level)| FrontEntry { hlod, level }).collect();
-    let error = |&(hlod, level): &(HlodId, u32)| {
-        projected_error(skeleton, &FrontEntry { hlod, level }, camera, size)
-    };
-    found.error_px = replaced.iter().map(error).fold(0.0, f64::max);
+    found.entries = drawn.into_iter().map(|(hlod, level)| FrontEntry { hlod, level }).collect();
     found
 }
 
-/// Pixels by which what is seen of `entry` strays at most: its error at the nearest point of its box,
-/// or at the near plane.
-pub fn projected_error(
+/// What a picture shows, by pixel.
+#[derive(Debug, Clone, Copy)]
+pub struct Seen<'a> {
+    /// The hlod that is nearest, or [`NO_ITEM`](crate::backend::NO_ITEM).
+    pub items: &'a [u32],
+    /// Its depth in the target: near plane over view depth.
+    pub depth: &'a [f32],
+    /// Hlods that blend over some pixel.
+    pub blended: &'a [u32],
+}
+
+/// Pixels by which a picture strays where something stands in: from the original surface to what is
+/// shown, and back, whichever is more. `replaced` is as in [`Available`].
+///
+/// What should be seen lies no nearer than the boxes of the replaced hlods. What is seen of a stand-in
+/// lies where its pixels are; what blends has no depth and counts at the nearest point of its box. At
+/// that distance `d` the error of the stand-in's level is `error / (d * size of a pixel at 1)`, as for
+/// the front. Nothing strays by more than the picture's diagonal.
+pub fn seen_error(
     skeleton: &Skeleton,
-    entry: &FrontEntry,
+    replaced: &[(HlodId, FrontEntry)],
     camera: &Camera,
     size: PictureSize,
+    seen: &Seen<'_>,
 ) -> f64 {
-    let seen_from_eye = box_from_eye(skeleton.hlod(entry.hlod), camera.eye);
-    let distance = seen_from_eye.distance(DVec3::ZERO).max(f64::from(camera.near));
-    let error = skeleton.levels[entry.level as usize].error;
-    error / (distance * pixel_at_unit_depth(camera, size))
+    let error = |entry: &FrontEntry| skeleton.levels[entry.level as usize].error;
+    let errors: BTreeMap<u32, f64> =
+        replaced.iter().map(|(_, by)| (by.hlod.0, error(by))).collect();
+    let near = f64::from(camera.near);
+    let distance = |hlod: HlodId| {
+        box_from_eye(skeleton.hlod(hlod), camera.eye).distance(DVec3::ZERO).max(near)
+    };
+    let wanted = replaced.iter().map(|(hlod, by)| error(by) / distance(*hlod));
+    let blended = seen.blended.iter().filter_map(|&item| {
+        let error = errors.get(&item)?;
+        Some(error / distance(HlodId(item)))
+    });
+    let pixel = pixel_at_unit_depth(camera, size);
+    let solid = seen.items.iter().zip(seen.depth).zip(0u32..).filter_map(|((item, depth), at)| {
+        let error = errors.get(item)?;
+        let ray = [(at % size.width, size.width), (at / size.width, size.height)]
+            .map(|(at, side)| (f64::from(at) + 0.5 - f64::from(side) / 2.0) * pixel);
+        let length = (1.0 + ray[0] * ray[0] + ray[1] * ray[1]).sqrt();
+        Some(error * f64::from(*depth) / (near * length))
+    });
+    let diagonal = f64::from(size.width).hypot(f64::from(size.height));
+    (wanted.chain(blended).chain(solid).fold(0.0, f64::max) / pixel).min(diagonal)
 }
 
 fn stand_in(
@@ -114,10 +141,8 @@ pub fn coarsest_cut(skeleton: &Skeleton) -> Vec<FrontEntry> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::backend::{Backend, Completion, Draws, NO_ITEM, Part, Pass, View};
-    use crate::draw_list::draw_list;
+    use crate::backend::NO_ITEM;
     use crate::front::front;
-    use crate::occludee::Rules;
     use crate::random_scene::RandomScene;
     use rand::Rng;
 
@@ -130,9 +155,9 @@ mod tests {
             let camera = scene.camera();
             let skeleton = &scene.skeleton;
             let front = front(skeleton, &camera, SIZE, 2.0).entries;
-            let whole = available(skeleton, &front, &camera, SIZE, |_| true);
+            let whole = available(skeleton, &front, |_| true);
             assert_eq!(whole, Available { entries: front.clone(), ..Available::default() });
-            let none = available(skeleton, &front, &camera, SIZE, |_| false);
+            let none = available(skeleton, &front, |_| false);
             let holes = front.len() as u32;
             assert_eq!(none, Available { holes, ..Available::default() });
         }
@@ -150,7 +175,7 @@ mod tests {
             let there: Vec<bool> =
                 scene.skeleton.levels.iter().map(|_| scene.rng.random_bool(share)).collect();
             let skeleton = &scene.skeleton;
-            let found = available(skeleton, &front, &camera, SIZE, |l| there[l as usize]);
+            let found = available(skeleton, &front, |l| there[l as usize]);
             assert!(found.entries.is_sorted_by(|a, b| a.hlod < b.hlod));
             assert!(found.entries.iter().all(|entry| there[entry.level as usize]));
             let drawn = |id: HlodId| found.entries.iter().any(|entry| entry.hlod == id);
@@ -171,76 +196,61 @@ mod tests {
                 holes += u32::from(!any_there);
             }
             assert_eq!(found.holes, holes);
+            let stands_in = |entry| found.replaced.iter().any(|(_, by)| by == entry);
             for entry in &found.entries {
-                let is_own = front.contains(entry);
-                assert!(
-                    is_own || projected_error(skeleton, entry, &camera, SIZE) <= found.error_px
-                );
+                // One that is on the front itself stands for nothing else: what covers others is not.
+                assert_ne!(front.contains(entry), stands_in(entry));
             }
-            replaced += found.replaced;
+            let own = front.iter().filter(|entry| found.entries.contains(entry)).count();
+            assert_eq!(own + found.replaced.len() + found.holes as usize, front.len());
+            replaced += found.replaced.len();
         }
         assert!(replaced > 500, "{replaced}");
     }
 
-    /// By pixel, the hlod seen there and its view depth.
-    fn seen(scene: &RandomScene, camera: &Camera, entries: &[FrontEntry]) -> Vec<(HlodId, f64)> {
-        let mut backend = scene.backend(SIZE, &Rules::default());
-        let view = View::new(camera, SIZE);
-        let mut run = |pass| {
-            backend.submit(pass).unwrap();
-            let mut completions = Vec::new();
-            backend.poll(&mut completions).unwrap();
-            completions.remove(0)
-        };
-        // What blends leaves no depth.
-        let draws = draw_list(&scene.skeleton, entries, camera.eye);
-        let draws = Draws { blending: vec![], ..draws };
-        let (part, with_depth) = (Part::WHOLE, true);
-        let Completion::Items { items, .. } = run(Pass::Items { view, draws: draws.clone(), part })
-        else {
-            panic!("no items")
-        };
-        let Completion::Picture { picture, .. } =
-            run(Pass::Shade { view, draws, with_depth, part })
-        else {
-            panic!("no picture")
-        };
-        let depths = picture.depth.unwrap();
-        let pixels = items.into_iter().zip(depths).filter(|(item, _)| *item != NO_ITEM);
-        let depth = |z: f32| f64::from(camera.near) / f64::from(z);
-        pixels.map(|(item, z)| (HlodId(item), depth(z))).collect()
-    }
-
     #[test]
-    fn the_error_told_bounds_what_is_seen() {
-        let mut measured = 0;
-        for seed in 0..300 {
-            let mut scene = RandomScene::new(seed, 3, 16.0);
-            let camera = scene.camera();
-            let lod_px = 2.0;
-            let front = front(&scene.skeleton, &camera, SIZE, lod_px).entries;
-            let there: Vec<bool> =
-                scene.skeleton.levels.iter().map(|_| scene.rng.random_bool(0.7)).collect();
-            let found = available(&scene.skeleton, &front, &camera, SIZE, |l| there[l as usize]);
-            let pixel = pixel_at_unit_depth(&camera, SIZE);
-            let seen = seen(&scene, &camera, &found.entries);
-            for entry in found.entries.iter().filter(|entry| !front.contains(entry)) {
-                let nearest = seen.iter().filter(|(hlod, _)| *hlod == entry.hlod).map(|(_, d)| *d);
-                let Some(nearest) = nearest.reduce(f64::min) else { continue };
-                let error = scene.skeleton.levels[entry.level as usize].error;
-                let (shown, told) = (
-                    error / (nearest * pixel),
-                    projected_error(&scene.skeleton, entry, &camera, SIZE),
-                );
-                // Depths are rounded.
-                assert!(
-                    shown <= told * 1.001 && told <= found.error_px,
-                    "seed {seed}: {shown} {told}"
-                );
-                measured += 1;
-            }
-        }
-        assert!(measured > 100, "{measured}");
+    fn the_error_seen_is_that_of_the_pixel_that_strays_most() {
+        let mut scene = RandomScene::new(3, 2, 16.0);
+        let camera = Camera { near: 0.5, ..scene.camera() };
+        scene.skeleton.levels.iter_mut().for_each(|level| level.error = 0.0);
+        let levels = &mut scene.skeleton.levels;
+        (levels[1].error, levels[2].error) = (0.25, 2.0);
+        let entry = |hlod, level| FrontEntry { hlod: HlodId(hlod), level };
+        // 3 lies far away, so that only what is seen counts.
+        let far = &mut scene.skeleton.hlods[3];
+        (far.min, far.max) = ([1e9; 3], [2e9; 3]);
+        let replaced = [(HlodId(3), entry(0, 1)), (HlodId(3), entry(1, 2))];
+        let pixel = pixel_at_unit_depth(&camera, SIZE);
+        let error = |items: &[u32], depth: &[f32], blended: &[u32]| {
+            // In the middle of the picture, where a ray is as long as it is deep.
+            let before = 24 * 64 + 32 - items.len() / 2;
+            let items = [&vec![NO_ITEM; before][..], items].concat();
+            let depth = [&vec![0.0; before][..], depth].concat();
+            let seen = Seen { items: &items, depth: &depth, blended };
+            seen_error(&scene.skeleton, &replaced, &camera, SIZE, &seen)
+        };
+        let is_about = |found: f64, truth: f64| (found - truth).abs() < 2e-3 * truth;
+        assert!(error(&[], &[], &[]) < 1e-6);
+        // What is not seen, and what stands for itself, does not stray.
+        assert!(error(&[NO_ITEM, 2], &[0.0, 1.0], &[2]) < 1e-6);
+        // View depths 100 and 50 with a quarter of a unit, 2000 and 200 with two.
+        assert!(is_about(error(&[0, 0, 1], &[0.005, 0.01, 0.00025], &[]), 0.25 / 50.0 / pixel));
+        assert!(is_about(error(&[0, 0, 1], &[0.005, 0.01, 0.0025], &[]), 2.0 / 200.0 / pixel));
+        let distance = |hlod| {
+            box_from_eye(scene.skeleton.hlod(HlodId(hlod)), camera.eye)
+                .distance(DVec3::ZERO)
+                .max(0.5)
+        };
+        let diagonal = 64f64.hypot(48.0);
+        assert_eq!(error(&[], &[], &[1]), (2.0 / distance(1) / pixel).min(diagonal));
+        // What should be seen and is not.
+        let seen = Seen { items: &[], depth: &[], blended: &[] };
+        let told = seen_error(&scene.skeleton, &[(HlodId(2), entry(0, 1))], &camera, SIZE, &seen);
+        assert_eq!(told, (0.25 / distance(2) / pixel).min(diagonal));
+        // An error larger than the distance fills the picture, no more.
+        scene.skeleton.levels[1].error = 1e30;
+        let told = seen_error(&scene.skeleton, &replaced, &camera, SIZE, &seen);
+        assert_eq!(told, diagonal);
     }
 
     #[test]
@@ -256,7 +266,7 @@ mod tests {
             let cut = coarsest_cut(skeleton);
             let front = front(skeleton, &camera, SIZE, 0.0).entries;
             let there = |level: u32| cut.iter().any(|entry| entry.level == level);
-            assert_eq!(available(skeleton, &front, &camera, SIZE, there).holes, 0, "seed {seed}");
+            assert_eq!(available(skeleton, &front, there).holes, 0, "seed {seed}");
         }
     }
 }

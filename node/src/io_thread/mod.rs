@@ -16,12 +16,13 @@ use scene::prefetch::{Forecaster, Outlook};
 use scene::store::{Store, StoreError};
 use std::collections::VecDeque;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 /// Orders that may wait: a frame gives two, and waits for one of them.
 const ORDERS: usize = 8;
-/// Blobs that may wait to be taken in.
-const ARRIVALS: usize = 64;
+/// Blobs that may wait to be taken in. Buffers bound their bytes; this many small ones come between two
+/// drawings.
+const ARRIVALS: usize = 1024;
 
 /// Where blobs come from.
 pub(crate) trait Source: Send {
@@ -109,6 +110,8 @@ pub(crate) struct IoThread {
     /// In the present forecast: better kept than others.
     pub(crate) likely: Arc<Marks>,
     pub(crate) pool: Pool,
+    /// The render side waits for an arrival.
+    is_awaited: Arc<AtomicBool>,
 }
 
 impl IoThread {
@@ -124,6 +127,7 @@ impl IoThread {
         let (pool, returned) = Pool::new(cap);
         let marks = || Arc::new(Marks::new(skeleton.blobs.len()));
         let (claims, likely) = (marks(), marks());
+        let is_awaited = Arc::new(AtomicBool::new(false));
         let reader = Reader {
             source,
             skeleton,
@@ -134,6 +138,7 @@ impl IoThread {
             pool: pool.clone(),
             claims: Arc::clone(&claims),
             likely: Arc::clone(&likely),
+            is_awaited: Arc::clone(&is_awaited),
             fetched: VecDeque::new(),
             ahead: VecDeque::new(),
             next_forecast: None,
@@ -141,7 +146,7 @@ impl IoThread {
             room: 0,
         };
         std::thread::Builder::new().name("io".to_owned()).spawn(move || reader.run())?;
-        Ok(Self { orders, arrivals, claims, likely, pool })
+        Ok(Self { orders, arrivals, claims, likely, pool, is_awaited })
     }
 
     /// Gives a fetch command.
@@ -149,6 +154,14 @@ impl IoThread {
         // The thread takes orders even while it waits to hand something over, so this ends. One that
         // broke down has said so; the frame that waits for it finds the channel closed.
         let _ = self.orders.send(Order::Fetch(blobs));
+    }
+
+    /// Waits for the next arrival; none where the thread broke down.
+    pub(crate) fn wait(&self) -> Option<Arrival> {
+        self.is_awaited.store(true, Ordering::Release);
+        let arrival = self.arrivals.recv().ok();
+        self.is_awaited.store(false, Ordering::Release);
+        arrival
     }
 
     /// Says what to read ahead. An order that finds the queue full is dropped: the next is newer.
@@ -168,6 +181,7 @@ struct Reader<S> {
     pool: Pool,
     claims: Arc<Marks>,
     likely: Arc<Marks>,
+    is_awaited: Arc<AtomicBool>,
     /// L_O.
     fetched: VecDeque<BlobId>,
     /// To be read ahead.
@@ -216,14 +230,18 @@ impl<S: Source> Reader<S> {
             return Ok(());
         }
         let bytes = self.source.read(blob, &mut buffer).map(|()| buffer);
-        self.hand_over(Arrival { blob, bytes, foreseen })
+        self.hand_over(Arrival { blob, bytes, foreseen })?;
+        // The scheduler would let this thread read on for a millisecond before it runs the one that waits
+        // for what is read.
+        if self.fetched.is_empty() && self.is_awaited.load(Ordering::Acquire) {
+            std::thread::yield_now();
+        }
+        Ok(())
     }
 
     fn take(&mut self, order: Order) {
         match order {
             Order::Fetch(blobs) => self.fetched.extend(blobs),
-            // A forecast takes longer than some frames. It is ended, and of those that came meanwhile the
-            // newest comes next: what it names last would never be read otherwise.
             Order::Foresee { outlook, in_use, room } => {
                 self.next_forecast = Some((outlook, in_use, room))
             }
@@ -239,6 +257,14 @@ impl<S: Source> Reader<S> {
             }
         }
         loop {
+            // The newest forecast is the best: what an older one did not come to goes.
+            if let Some((outlook, in_use, room)) = self.next_forecast.take() {
+                self.ahead.clear();
+                self.likely.clear_all();
+                in_use.into_iter().for_each(|blob| _ = self.likely.set(blob));
+                self.room = room;
+                self.forecaster.begin(outlook);
+            }
             while let Some(blob) = self.ahead.pop_front() {
                 if !self.claims.has(blob) {
                     return Some((blob, true));
@@ -248,15 +274,9 @@ impl<S: Source> Reader<S> {
                 return None;
             }
             let named = if self.room > 0 { self.forecaster.next_levels() } else { None };
-            if let Some((_, levels)) = named {
-                levels.into_iter().for_each(|level| self.expect(level));
-            } else if let Some((outlook, in_use, room)) = self.next_forecast.take() {
-                self.likely.clear_all();
-                in_use.into_iter().for_each(|blob| _ = self.likely.set(blob));
-                self.room = room;
-                self.forecaster.begin(outlook);
-            } else {
-                self.ahead.push_back(BlobId(self.rest.next()?));
+            match named {
+                Some((_, levels)) => levels.into_iter().for_each(|level| self.expect(level)),
+                None => self.ahead.push_back(BlobId(self.rest.next()?)),
             }
         }
     }

@@ -5,7 +5,6 @@ use crate::fixture::{street, write};
 use protocol::camera::Camera;
 use protocol::settings::PictureSize;
 use protocol::visible::VisibleSet;
-use scene::prefetch::Motion;
 use std::sync::Mutex;
 use std::time::Duration;
 
@@ -64,7 +63,7 @@ fn outlook() -> Outlook {
     let now =
         Camera::look_at([10.0, -3.0, 2.0], [11.0, 6.0, 2.0], [0.0, 0.0, 1.0], 60.0, 0.05).unwrap();
     let visible = Arc::new(VisibleSet::whole_scene());
-    Outlook { motion: Motion { earlier_eye: None, before: now, now, frames: 1 }, visible }
+    Outlook { drawn: None, ahead: vec![now], visible }
 }
 
 #[test]

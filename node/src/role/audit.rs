@@ -1,5 +1,5 @@
-//! Measures a picture after it was drawn: is it the one that no culling would have given, and how
-//! many of the drawn hlods can be seen in it?
+//! Measures a picture after it was drawn: is it the one that no culling would have given, how many of
+//! the drawn hlods can be seen in it, and how far does what stands in for others stray?
 
 use super::render_visible_geometry::Drawn;
 use super::{RoleError, Stage};
@@ -7,14 +7,18 @@ use protocol::camera::Camera;
 use protocol::settings::Residency as Promise;
 use protocol::telemetry::Audit;
 use scene::backend::{Completion, NO_ITEM, Pass, Picture};
+use scene::stand_in::{Seen, seen_error};
+use std::collections::BTreeSet;
 
 /// What was asked for.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Measured {
     /// Against the picture without culling.
     pub(crate) audit: Option<Audit>,
     /// Hlods with at least one pixel.
     pub(crate) hlods_with_pixels: Option<u32>,
+    /// Pixels by which what stands in for others strays at most.
+    pub(crate) stand_in_error_px: f64,
 }
 
 /// Measures `drawn`, which must have its depth if it is to be `audited`.
@@ -26,8 +30,15 @@ pub(crate) fn measure(
     counted: bool,
 ) -> Result<Measured, RoleError> {
     let audit = audited.then(|| against_unculled(stage, camera, &drawn.picture)).transpose()?;
-    let hlods_with_pixels = counted.then(|| count_items(stage, camera, drawn)).transpose()?;
-    Ok(Measured { audit, hlods_with_pixels })
+    let is_whole = drawn.replaced.is_empty();
+    let items = if counted || !is_whole { items_of(stage, camera, drawn)? } else { None };
+    let hlods_with_pixels = counted.then(|| match &items {
+        Some(items) => items.count(),
+        // A mesh cannot be read any more: the next picture shows something else.
+        None => drawn.counts.hlods,
+    });
+    let stand_in_error_px = if is_whole { 0.0 } else { stray(stage, camera, drawn, items)? };
+    Ok(Measured { audit, hlods_with_pixels, stand_in_error_px })
 }
 
 /// Draws everything of the front that is in the frustum, on the same device, and compares.
@@ -60,20 +71,57 @@ fn differing_pixels(a: &Picture, b: &Picture) -> u64 {
     differs.count() as u64
 }
 
-fn count_items(stage: &mut Stage<'_>, camera: &Camera, drawn: &Drawn) -> Result<u32, RoleError> {
+/// Which hlods a picture shows.
+struct Items {
+    /// By pixel, the nearest.
+    nearest: Vec<u32>,
+    /// Those that blend over some pixel.
+    blended: Vec<u32>,
+}
+
+impl Items {
+    fn count(&self) -> u32 {
+        let all = self.nearest.iter().chain(&self.blended);
+        let distinct: BTreeSet<u32> = all.copied().filter(|&item| item != NO_ITEM).collect();
+        distinct.len() as u32
+    }
+}
+
+/// None where a mesh cannot be read any more.
+fn items_of(
+    stage: &mut Stage<'_>,
+    camera: &Camera,
+    drawn: &Drawn,
+) -> Result<Option<Items>, RoleError> {
     let pass = |view, draws, part| Pass::Items { view, draws, part };
-    let Some(completion) = stage.draw_list(camera, &drawn.draws, pass)? else {
-        // A mesh cannot be read any more: the next picture shows something else.
-        return Ok(drawn.counts.hlods);
+    Ok(stage.draw_list(camera, &drawn.draws, pass)?.map(|completion| {
+        let Completion::Items { items, blended, .. } = completion else {
+            unreachable!("items answer as such")
+        };
+        Items { nearest: items, blended }
+    }))
+}
+
+/// How far what stands in strays, pixels. Where a mesh cannot be read any more all of it counts as if it
+/// were at the nearest point of its box.
+fn stray(
+    stage: &mut Stage<'_>,
+    camera: &Camera,
+    drawn: &Drawn,
+    items: Option<Items>,
+) -> Result<f64, RoleError> {
+    let pass = |view, draws, part| Pass::Shade { view, draws, with_depth: true, part };
+    let depth = match stage.draw_list(camera, &drawn.draws, pass)? {
+        Some(Completion::Picture { picture, .. }) => picture.depth,
+        _ => None,
     };
-    let Completion::Items { mut items, blended, .. } = completion else {
-        unreachable!("items answer as such")
+    let all = || drawn.replaced.iter().map(|(_, by)| by.hlod.0).collect();
+    let (items, depth) = match (items, depth) {
+        (Some(items), Some(depth)) => (items, depth),
+        _ => (Items { nearest: Vec::new(), blended: all() }, Vec::new()),
     };
-    items.extend(blended);
-    items.retain(|&item| item != NO_ITEM);
-    items.sort_unstable();
-    items.dedup();
-    Ok(items.len() as u32)
+    let seen = Seen { items: &items.nearest, depth: &depth, blended: &items.blended };
+    Ok(seen_error(&stage.skeleton, &drawn.replaced, camera, stage.settings.size, &seen))
 }
 
 #[cfg(test)]

@@ -13,7 +13,7 @@ use protocol::camera::Camera;
 use protocol::format::Skeleton;
 use protocol::id::{FrameIndex, HlodId};
 use protocol::settings::{Residency as Promise, RunSettings};
-use protocol::telemetry::{BackendInfo, IoCounts, Missing};
+use protocol::telemetry::{BackendInfo, IoCounts};
 use protocol::visible::VisibleSet;
 use scene::backend::Draws;
 use scene::backend::{Backend, BackendError, Completion, Part, Pass, View};
@@ -49,6 +49,17 @@ pub(crate) enum RoleError {
     ForeignHlod(HlodId),
 }
 
+/// What a seat knows of the frames to come as a phase begins.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Coming {
+    /// The newest camera, if the phase brings one.
+    pub(crate) newest: Option<(FrameIndex, Camera)>,
+    /// The camera that this phase's work is about.
+    pub(crate) front: Option<Camera>,
+    /// Frames whose geometry this seat draws from this phase on, the first few.
+    pub(crate) draws: Vec<FrameIndex>,
+}
+
 /// What roles work on: one scene, one backend, and what is remembered between phases.
 pub(crate) struct Stage<'a> {
     skeleton: Arc<Skeleton>,
@@ -76,13 +87,12 @@ impl<'a> Stage<'a> {
         self.backend.info()
     }
 
-    /// Makes the front of `camera` unless it is the last one made. `draws`: its geometry is about to be
-    /// needed, of which the first camera is the first word.
-    pub(crate) fn make_front(&mut self, camera: &Camera, draws: bool) {
-        if draws {
-            self.loader.foresee_first(camera);
+    /// Prepares a phase, before what it waits for has come.
+    pub(crate) fn prepare(&mut self, coming: Coming) {
+        self.loader.look_ahead(coming.newest, coming.draws);
+        if let Some(camera) = coming.front {
+            self.front(&camera);
         }
-        self.front(camera);
     }
 
     /// The front of `camera`.
@@ -103,9 +113,8 @@ impl<'a> Stage<'a> {
     }
 
     /// What `promise` lets be drawn of `entries` now.
-    fn available(&self, camera: &Camera, entries: &[FrontEntry], promise: Promise) -> Available {
-        let is_there = |level| self.loader.offers(level, promise);
-        available(&self.skeleton, entries, camera, self.settings.size, is_there)
+    fn available(&self, entries: &[FrontEntry], promise: Promise) -> Available {
+        available(&self.skeleton, entries, |level| self.loader.offers(level, promise))
     }
 
     /// Draws `entries`, or what stands in for them, and waits for what comes of it. `pass` makes a pass
@@ -121,7 +130,7 @@ impl<'a> Stage<'a> {
             self.loader.order_missing(entries);
         }
         loop {
-            let shown = self.available(camera, entries, promise);
+            let shown = self.available(entries, promise);
             let draws = draw_list(&self.skeleton, &shown.entries, camera.eye);
             if let Some(completion) = self.draw_list(camera, &draws, &pass)? {
                 return Ok((completion, shown, draws));
@@ -161,14 +170,9 @@ impl<'a> Stage<'a> {
         self.loader.take_in_all(self.backend.as_mut())
     }
 
-    /// Has read ahead what the end of a phase lets expect.
-    pub(crate) fn foresee(
-        &mut self,
-        frame: FrameIndex,
-        camera: &Camera,
-        visible: &Arc<VisibleSet>,
-    ) {
-        self.loader.foresee(frame, camera, visible);
+    /// Learns what is visible in a frame, as the phase's work is done.
+    pub(crate) fn note_visible(&mut self, frame: FrameIndex, visible: &Arc<VisibleSet>) {
+        self.loader.note_visible(frame, visible);
     }
 
     /// The next job; geometry that was read ahead is taken in meanwhile. None once there are no more.
@@ -183,12 +187,6 @@ impl<'a> Stage<'a> {
     pub(crate) fn take_io(&mut self) -> IoCounts {
         self.loader.take_counts()
     }
-}
-
-/// What was not there of what is shown.
-fn missing(shown: &Available) -> Missing {
-    let Available { replaced, holes, error_px, .. } = *shown;
-    Missing { replaced, holes, error_px }
 }
 
 /// First 8 bytes, little-endian, of the BLAKE3 of a picture's RGBA bytes.

@@ -1,9 +1,9 @@
 //! RVG(i): the picture of frame i, V_i drawn under C_i (paper 004, section 4.3).
 
-use super::{RoleError, Stage, missing};
+use super::{RoleError, Stage};
 use protocol::camera::Camera;
 use protocol::id::HlodId;
-use protocol::telemetry::DrawCounts;
+use protocol::telemetry::{DrawCounts, Missing};
 use protocol::visible::VisibleSet;
 use scene::backend::Draws;
 use scene::backend::{Completion, Pass, Picture};
@@ -11,12 +11,14 @@ use scene::front::{Front, FrontEntry};
 
 /// A frame that was drawn.
 pub(crate) struct Drawn {
-    /// What was drawn; hash, item count and audit are yet to be filled in.
+    /// What was drawn; hash and what is measured are yet to be filled in.
     pub(crate) counts: DrawCounts,
     /// The picture.
     pub(crate) picture: Picture,
     /// The draws it is made of.
     pub(crate) draws: Draws,
+    /// Hlods that should be seen, and what stands for each instead.
+    pub(crate) replaced: Vec<(HlodId, FrontEntry)>,
 }
 
 /// Draws V_i at the levels of this camera's own front, or what stands in for what is not there.
@@ -35,13 +37,14 @@ pub(crate) fn run(
     let Completion::Picture { picture, .. } = completion else {
         unreachable!("a picture answers as such")
     };
+    let replaced = shown.replaced.len() as u32;
     let counts = DrawCounts {
         hlods: shown.entries.len() as u32,
         triangles: stage.triangles(&shown.entries),
-        missing: missing(&shown),
+        missing: Missing { replaced, holes: shown.holes, error_px: 0.0 },
         ..DrawCounts::default()
     };
-    Ok(Drawn { counts, picture, draws })
+    Ok(Drawn { counts, picture, draws, replaced: shown.replaced })
 }
 
 /// The entries of `front` for `visible`, both sorted by id.
