@@ -14,6 +14,11 @@ struct Instance {
     @location(5) column_z: vec3<f32>,
     @location(6) offset: vec3<f32>,
     @location(7) item: u32,
+    // Of projected blobs alone: what a unit of z adds to the disparity, and the picture, its first word in
+    // the buffer and its side in pixels.
+    @location(8) disparity_step: f32,
+    @location(9) picture: u32,
+    @location(10) side: u32,
 }
 
 // Three 21-bit integers out of 63 bits; exact in f32.

@@ -7,14 +7,15 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 /// Who may depend on whom in the workspace; ARCHITECTURE.md shows the same table.
-const ALLOWED: [(&str, &[&str]); 9] = [
+const ALLOWED: [(&str, &[&str]); 10] = [
     ("shaders", &[]),
     ("protocol", &[]),
     ("geometry", &[]),
     ("scene", &["protocol", "geometry"]),
     ("gpu", &["scene", "shaders", "protocol"]),
-    ("bake", &["protocol", "geometry", "scene"]),
-    ("node", &["protocol", "scene", "gpu"]),
+    ("farfield", &["protocol", "geometry", "scene"]),
+    ("bake", &["protocol", "geometry", "scene", "farfield"]),
+    ("node", &["protocol", "scene", "farfield", "gpu"]),
     ("coordinator", &["protocol"]),
     ("occluster", &["coordinator", "node", "bake", "protocol", "scene"]),
 ];

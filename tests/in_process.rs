@@ -55,6 +55,9 @@ fn replay(
         memory: None,
         residency: Residency::Exact,
         prefetch: true,
+        far: protocol::settings::Far::Off,
+        far_cubes: 8,
+        far_triangles: None,
         pictures_dir: Some(folder.join("frames").to_str().unwrap().to_owned()),
     };
     change(&mut settings);

@@ -125,7 +125,7 @@ fn a_damaged_mesh_is_named_and_something_coarser_is_shown() {
     let whole = replay(&scene, "whole", &path, &["--backend", "cpu"]);
     // One byte of every mesh that lies in the first half of the file.
     let mut bytes = std::fs::read(&scene.occ).unwrap();
-    for at in (384..bytes.len() / 2).step_by(1 << 12) {
+    for at in (448..bytes.len() / 2).step_by(1 << 12) {
         bytes[at] ^= 0x10;
     }
     let damaged = scene.file("damaged.occ");

@@ -1,6 +1,6 @@
 //! Run settings from text: rig files, and the spellings that flags and rig files share.
 
-use protocol::settings::{BackendChoice, Cull, PictureSize, Residency, Schedule};
+use protocol::settings::{BackendChoice, Cull, Far, PictureSize, Residency, Schedule};
 use serde::{Deserialize, Deserializer};
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
@@ -61,6 +61,12 @@ pub struct Rig {
     pub residency: Option<Residency>,
     /// Whether geometry is read before it is needed.
     pub prefetch: Option<Switch>,
+    /// What stands in for what is far.
+    pub far: Option<Far>,
+    /// Cubes of a cell at most.
+    pub far_cubes: Option<u32>,
+    /// Triangles of cubes at most.
+    pub far_triangles: Option<u64>,
 }
 
 impl Rig {

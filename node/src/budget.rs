@@ -1,6 +1,7 @@
 //! How a node's memory is shared out: buffers on their way, and what the backend holds.
 
 use protocol::format::Skeleton;
+use protocol::id::BlobId;
 use scene::front::FrontEntry;
 
 /// Buffers take this share of the memory, unless one mesh needs more.
@@ -37,14 +38,16 @@ pub struct TooSmall {
     coarsest: u64,
 }
 
-/// Shares `memory` out for a scene of which `always` is to stay.
+/// Shares `memory` out for a scene of which `drawable` may be drawn and `always` is to stay.
 pub(crate) fn share_out(
     memory: u64,
     skeleton: &Skeleton,
+    drawable: &[BlobId],
     always: &[FrontEntry],
 ) -> Result<Budget, TooSmall> {
-    let mesh = skeleton.blobs.iter().map(|blob| blob.bytes).max().unwrap_or(0);
-    let geometry: u64 = skeleton.blobs.iter().map(|blob| blob.bytes + DEVICE_GRAIN).sum();
+    let sizes = || drawable.iter().map(|&blob| skeleton.blob(blob).bytes);
+    let mesh = sizes().max().unwrap_or(0);
+    let geometry: u64 = sizes().map(|bytes| bytes + DEVICE_GRAIN).sum();
     // Ranges in device buffers leave gaps.
     let geometry = geometry.saturating_add(geometry / HOST_SHARE);
     let textures: u64 = skeleton.textures.iter().map(|texture| texture.bytes).sum();
@@ -95,17 +98,18 @@ mod tests {
         write(&path, &street(), true);
         let store = Store::open(&path).unwrap();
         let skeleton = store.skeleton();
+        let blobs: Vec<BlobId> = (0..skeleton.blobs.len() as u32).map(BlobId).collect();
         let all = skeleton.blobs[0].bytes + skeleton.textures[0].bytes;
-        let large = share_out(1 << 30, skeleton, &[]).unwrap();
+        let large = share_out(1 << 30, skeleton, &blobs, &[]).unwrap();
         assert!(
             large.fits && large.host == MOST_HOST_BYTES && large.host + large.device == 1 << 30
         );
-        let error = share_out(all, skeleton, &[]).unwrap_err();
+        let error = share_out(all, skeleton, &blobs, &[]).unwrap_err();
         assert!(error.to_string().contains(&error.needed.to_string()));
-        let least = share_out(error.needed, skeleton, &[]).unwrap();
+        let least = share_out(error.needed, skeleton, &blobs, &[]).unwrap();
         assert!(least.host >= skeleton.blobs[0].bytes);
         assert_eq!(least.host + least.device, error.needed);
-        assert!(share_out(error.needed - 1, skeleton, &[]).is_err());
+        assert!(share_out(error.needed - 1, skeleton, &blobs, &[]).is_err());
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! A small scene file for tests: a root over solid boxes, all instances of one cube.
 
-use protocol::format::{Class, Finished, Hlod, Level, NONE, Part, SceneInfo, SceneWriter};
+use protocol::format::{Class, Finished, Hlod, Level, NONE, Part, SceneInfo, SceneWriter, Tables};
 use protocol::format::{TexturedVertex, Transform, Vertex, Vertices, Wrap};
 use std::path::Path;
 
@@ -117,5 +117,5 @@ pub(crate) fn write(path: &Path, pieces: &[Piece], textured: bool) -> Finished {
         seed: 1,
         ..SceneInfo::default()
     };
-    writer.finish(info, hlods, levels, parts, transforms).unwrap()
+    writer.finish(Tables { info, hlods, levels, parts, transforms, ..Tables::default() }).unwrap()
 }

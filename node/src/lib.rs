@@ -21,6 +21,7 @@ pub mod telemetry;
 mod worker;
 
 pub use budget::TooSmall;
+pub use choose::choose_backend;
 pub use open::check_memory;
 
 use choose::ChooseError;

@@ -6,11 +6,15 @@ use crate::choose::choose_backend;
 use crate::io_thread::IoThread;
 use crate::resident::Loader;
 use crate::role::{RoleError, Stage};
+use farfield::field::FarField;
+use farfield::select::Budget;
 use protocol::format::Skeleton;
+use protocol::id::BlobId;
 use protocol::message::FailureKind;
-use protocol::settings::{Residency as Promise, RunSettings};
+use protocol::settings::{Far, Residency as Promise, RunSettings};
 use scene::backend::{Backend, Upload};
 use scene::front::FrontEntry;
+use scene::near_field::Cells;
 use scene::prefetch::Forecaster;
 use scene::stand_in::coarsest_cut;
 use scene::store::Store;
@@ -42,21 +46,64 @@ pub(crate) fn open_on<'a>(
     let skeleton = Arc::clone(store.skeleton());
     let always = always(&skeleton, settings.residency);
     let memory = settings.memory.unwrap_or_else(budget::by_itself);
-    let budget = budget::share_out(memory, &skeleton, &always)?;
+    let drawable = drawable(&skeleton, settings.far);
+    let budget = budget::share_out(memory, &skeleton, &drawable, &always)?;
+    let far = Distance::open(&skeleton, settings);
     let mut backend = backend(budget.device)?;
     upload_textures(&store, backend.as_mut())?;
-    let forecaster = Forecaster::new(Arc::clone(&skeleton), settings.size, settings.lod_px);
+    let RunSettings { size, lod_px, prefetch, .. } = *settings;
+    let cells = Arc::clone(&far.cells);
+    let forecaster = Forecaster::new(Arc::clone(&skeleton), cells, size, lod_px);
     let digest = store.digest();
-    let io = IoThread::start(store, Arc::clone(&skeleton), forecaster, budget.host).map_err(
-        |error| {
+    let cubes = far.field.clone();
+    let io = IoThread::start(store, Arc::clone(&skeleton), forecaster, cubes, budget.host)
+        .map_err(|error| {
             let reason = format!("cannot start the I/O thread: {error}");
             NodeError::new(FailureKind::Unavailable, reason)
-        },
-    )?;
-    let mut loader =
-        Loader::new(Arc::clone(&skeleton), io, budget, settings.prefetch, Arc::clone(peak));
+        })?;
+    let known = Arc::clone(&skeleton);
+    let mut loader = Loader::new(known, io, budget, drawable, prefetch, Arc::clone(peak));
     loader.load_for_good(backend.as_mut(), &always)?;
-    Ok(Scene { digest, stage: Stage::new(skeleton, backend, loader, settings) })
+    Ok(Scene { digest, stage: Stage::new(skeleton, backend, loader, far, settings) })
+}
+
+/// What a run draws of what is far: which cells have another way than geometry, and that way.
+pub(crate) struct Distance {
+    pub(crate) cells: Arc<Cells>,
+    pub(crate) field: Option<Arc<dyn FarField>>,
+}
+
+impl Distance {
+    fn open(skeleton: &Arc<Skeleton>, settings: &RunSettings) -> Self {
+        let Some(method) = method(settings.far) else {
+            return Self { cells: Arc::default(), field: None };
+        };
+        let cells = Arc::new(Cells::new(skeleton, method.number() as u32));
+        let budget = Budget { cubes: settings.far_cubes, triangles: settings.far_triangles };
+        let field = method.open(Arc::clone(skeleton), Arc::clone(&cells), budget);
+        Self { cells, field: Some(field) }
+    }
+}
+
+/// The way that a run asked for, none for geometry alone.
+fn method(far: Far) -> Option<&'static dyn farfield::method::Method> {
+    let tag = match far {
+        Far::Off => return None,
+        Far::Tdm => "tdm",
+        Far::Itdm => "itdm",
+    };
+    farfield::method::METHODS.into_iter().find(|method| method.tag() == tag)
+}
+
+/// Blobs that a run may draw: all meshes, and the cubes of the far fields it was asked for.
+fn drawable(skeleton: &Skeleton, far: Far) -> Vec<BlobId> {
+    let wanted = method(far).map(|method| method.number() as u32);
+    let cells = skeleton.view_cells.iter().filter(|cell| Some(cell.method) == wanted);
+    let cubes = cells.flat_map(|cell| skeleton.cubes_of(cell)).flat_map(|cube| cube.blobs());
+    let meshes = (0..).zip(&skeleton.blobs).filter(|(_, blob)| !blob.is_projected());
+    let mut all: Vec<BlobId> = meshes.map(|(id, _)| id).chain(cubes).map(BlobId).collect();
+    all.sort_unstable();
+    all
 }
 
 /// Whether `memory` bytes a node suffice for a scene.
@@ -64,9 +111,11 @@ pub fn check_memory(
     memory: Option<u64>,
     skeleton: &Skeleton,
     promise: Promise,
+    far: Far,
 ) -> Result<(), TooSmall> {
     let memory = memory.unwrap_or_else(budget::by_itself);
-    budget::share_out(memory, skeleton, &always(skeleton, promise)).map(drop)
+    let drawable = drawable(skeleton, far);
+    budget::share_out(memory, skeleton, &drawable, &always(skeleton, promise)).map(drop)
 }
 
 /// What stays from the start: in `deadline` something must always be there to stand in.

@@ -31,6 +31,8 @@ pub(crate) struct Loader {
     io: IoThread,
     residency: Residency,
     budget: Budget,
+    /// All that may be drawn, until it is ordered as a whole.
+    drawable: Vec<BlobId>,
     prefetch: bool,
     /// The present drawing.
     now: Stamp,
@@ -61,11 +63,12 @@ pub(crate) enum Drawn {
 }
 
 impl Loader {
-    /// Nothing is held. `peak` follows the most bytes held, buffers included.
+    /// Nothing is held of `drawable`, which is all that may be drawn. `peak` follows the most bytes held, buffers included.
     pub(crate) fn new(
         skeleton: Arc<Skeleton>,
         io: IoThread,
         budget: Budget,
+        drawable: Vec<BlobId>,
         prefetch: bool,
         peak: Arc<AtomicU64>,
     ) -> Self {
@@ -75,6 +78,7 @@ impl Loader {
             io,
             residency: Residency::new(blobs),
             budget,
+            drawable,
             prefetch,
             now: 0,
             lost: vec![false; blobs],
@@ -105,12 +109,17 @@ impl Loader {
         self.peak.fetch_max(backend.held_bytes() + self.io.pool.most(), Ordering::Relaxed);
     }
 
-    /// Whether a level can be drawn: in `exact` if it can be had, in `deadline` if it is there.
-    pub(crate) fn offers(&self, level: u32, promise: Promise) -> bool {
-        self.skeleton.blobs_of(level).all(|blob| match promise {
+    /// Whether a blob can be drawn: in `exact` if it can be had, in `deadline` if it is there.
+    pub(crate) fn offers(&self, blob: BlobId, promise: Promise) -> bool {
+        match promise {
             Promise::Exact => !self.lost[blob.index()],
             Promise::Deadline => self.residency.holds(blob),
-        })
+        }
+    }
+
+    /// Whether all of a level can be drawn.
+    pub(crate) fn offers_level(&self, level: u32, promise: Promise) -> bool {
+        self.skeleton.blobs_of(level).all(|blob| self.offers(blob, promise))
     }
 
     /// Loads what is to stay for good.
@@ -143,10 +152,12 @@ impl Loader {
         blobs
     }
 
-    /// Orders what `entries` lack, and does not wait for it.
-    pub(crate) fn order_missing(&mut self, entries: &[FrontEntry]) {
-        let mut blobs = self.blobs_of(entries);
-        blobs.retain(|blob| !self.residency.holds(*blob) && !self.lost[blob.index()]);
+    /// Orders those of `blobs` that are not there, and does not wait for them.
+    pub(crate) fn order_missing(&mut self, blobs: impl IntoIterator<Item = BlobId>) {
+        let is_missing = |blob: &BlobId| !self.residency.holds(*blob) && !self.lost[blob.index()];
+        let mut blobs: Vec<BlobId> = blobs.into_iter().filter(is_missing).collect();
+        blobs.sort_unstable();
+        blobs.dedup();
         if !blobs.is_empty() {
             self.counts.misses += blobs.len() as u64;
             self.io.fetch(blobs);
@@ -357,7 +368,7 @@ impl Loader {
         let is_first = self.outlook.is_none();
         self.foresee();
         if is_first && self.outlook.is_some() && self.budget.fits {
-            self.io.foresee(Order::Everything);
+            self.io.foresee(Order::Everything(std::mem::take(&mut self.drawable)));
         }
     }
 

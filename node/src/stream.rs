@@ -158,6 +158,7 @@ mod tests {
             linear: [[0.0; 3]; 3],
             offset: [0.0; 3],
             distance: 0.0,
+            disparity_step: 0.0,
         };
         let list = |blobs: &[u32]| blobs.iter().enumerate().map(draw).collect();
         Draws { solid: list(solid), blending: list(blending) }

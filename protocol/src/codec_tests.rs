@@ -34,6 +34,9 @@ fn examples() -> Vec<Message> {
         memory: Some(64 << 20),
         residency: Residency::Deadline,
         prefetch: true,
+        far: crate::settings::Far::Itdm,
+        far_cubes: 3,
+        far_triangles: Some(7_000),
         pictures_dir: Some("out".into()),
     };
     let peers = (0..3)

@@ -50,6 +50,22 @@ pub enum Residency {
     Deadline,
 }
 
+/// What stands in for what is far of a view cell.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Far {
+    /// Nothing: all is drawn as geometry.
+    #[default]
+    Off,
+    /// Textured depth meshes, one sample a cell, skins kept: what paper 000 compares itself with.
+    Tdm,
+    /// Incremental textured depth meshes (paper 000).
+    Itdm,
+}
+
+/// Cubes drawn of a cell where nothing else is said.
+pub const FAR_CUBES: u32 = 8;
+
 /// Picture size in pixels, each side 1..=16384.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct PictureSize {
@@ -89,6 +105,12 @@ pub struct RunSettings {
     pub residency: Residency,
     /// Geometry is read before it is needed.
     pub prefetch: bool,
+    /// What stands in for what is far, in the view cells that have it.
+    pub far: Far,
+    /// Cubes of a cell that are drawn at most.
+    pub far_cubes: u32,
+    /// Triangles of cubes in the frustum that are drawn at most.
+    pub far_triangles: Option<u64>,
     /// Folder that receives `000000.png ...`; none writes no pictures.
     pub pictures_dir: Option<String>,
 }

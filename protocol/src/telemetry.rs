@@ -49,8 +49,10 @@ pub struct CullCounts {
 pub struct DrawCounts {
     /// Hlods drawn.
     pub hlods: u32,
-    /// Triangles drawn.
+    /// Triangles drawn, those of cubes included.
     pub triangles: u64,
+    /// Of these, triangles of cubes (RVG alone).
+    pub far_triangles: u64,
     /// Hlods with a visible pixel, on frames where the item buffer was drawn.
     pub hlods_with_pixels: Option<u32>,
     /// First 8 bytes of the BLAKE3 of the picture's RGBA bytes (RVG alone).

@@ -20,7 +20,7 @@ pub fn for_meshes(source: &str, guards: bool) -> String {
 }
 
 /// Occluders, depth alone: entry points `vertex_main`, and `fragment_guard` for drivers to be guarded.
-/// This one and the five that follow are for [`for_meshes`].
+/// This one and the six that follow are for [`for_meshes`].
 pub const DEPTH: &str = source!("frame.wgsl", "mesh.wgsl", "depth.wgsl");
 /// The picture of plain meshes: entry points `vertex_main`, `fragment_main`, `fragment_blend`.
 pub const SHADE: &str = source!("frame.wgsl", "mesh.wgsl", "light.wgsl", "shade.wgsl");
@@ -40,6 +40,9 @@ pub const SHADE_MASK: &str = source!(
 pub const ITEMS_MASK: &str = source!("frame.wgsl", "mesh.wgsl", "texture.wgsl", "items_mask.wgsl");
 /// Item ids: entry points `vertex_main`, `fragment_main`.
 pub const ITEMS: &str = source!("frame.wgsl", "mesh.wgsl", "items.wgsl");
+/// Projected blobs in all passes: entry points `vertex_main`; `fragment_main` for the picture, which alone
+/// reads the blob, `fragment_items`, and `fragment_guard` for drivers to be guarded.
+pub const PROJECTED: &str = source!("frame.wgsl", "mesh.wgsl", "projected.wgsl");
 /// Boxes as occlusion queries, entry point `query_vertex`: depth alone, a list of
 /// [`BOX_VERTICES`] vertices an instance.
 pub const BOX_QUERY: &str = source!("frame.wgsl", "box.wgsl", "box_query.wgsl");

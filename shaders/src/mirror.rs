@@ -112,7 +112,7 @@ pub struct Texturing {
 
 impl Texturing {
     /// Location of the first field; the others follow.
-    pub const FIRST_LOCATION: u32 = 8;
+    pub const FIRST_LOCATION: u32 = 11;
     /// Layout.
     pub const FIELDS: &[Field] =
         fields!(Texturing { tex_coord: Float32x2, texture_index: Uint32, cutoff: Float32 });
@@ -157,6 +157,12 @@ pub struct Instance {
     pub offset: [f32; 3],
     /// What the item buffer stores.
     pub item: u32,
+    /// Disparity of one grid step along z of a projected blob, 0 of others like the two that follow.
+    pub disparity_step: f32,
+    /// First word of its picture in the buffer.
+    pub picture: u32,
+    /// Pixels along a side of its picture.
+    pub side: u32,
 }
 
 impl Instance {
@@ -169,6 +175,9 @@ impl Instance {
         column_z: Float32x3,
         offset: Float32x3,
         item: Uint32,
+        disparity_step: Float32,
+        picture: Uint32,
+        side: Uint32,
     });
 }
 

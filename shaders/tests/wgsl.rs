@@ -6,7 +6,7 @@ use shaders::mirror::{
     BoxInstance, Field, Frame, Instance, Kind, TextureRecord, Texturing, Vertex,
 };
 
-const SOURCES: [(&str, &str, &[&str]); 8] = [
+const SOURCES: [(&str, &str, &[&str]); 9] = [
     ("DEPTH", shaders::DEPTH, &["vertex_main", "fragment_guard"]),
     ("SHADE", shaders::SHADE, &["vertex_main", "fragment_main", "fragment_blend"]),
     (
@@ -21,6 +21,11 @@ const SOURCES: [(&str, &str, &[&str]); 8] = [
     ),
     ("ITEMS_MASK", shaders::ITEMS_MASK, &["vertex_main", "fragment_main"]),
     ("ITEMS", shaders::ITEMS, &["vertex_main", "fragment_main"]),
+    (
+        "PROJECTED",
+        shaders::PROJECTED,
+        &["vertex_main", "fragment_main", "fragment_items", "fragment_guard"],
+    ),
     ("BOX_QUERY", shaders::BOX_QUERY, &["query_vertex"]),
     ("BOX_MARK", shaders::BOX_MARK, &["mark_vertex", "mark_fragment"]),
 ];
@@ -155,7 +160,7 @@ fn every_mirror_agrees_with_every_source_that_has_it() {
             *count += usize::from(check_attributes(&module, name, first, fields, size));
         }
     }
-    assert_eq!(seen, [6, 3, 6, 2], "Vertex, Texturing, Instance, BoxInstance");
+    assert_eq!(seen, [7, 3, 7, 2], "Vertex, Texturing, Instance, BoxInstance");
     assert_eq!(records, 3, "TextureRecord");
 }
 

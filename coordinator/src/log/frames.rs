@@ -65,6 +65,8 @@ pub struct FrameRow {
     pub source_triangles_in_frustum: u64,
     /// Triangles drawn into the picture.
     pub triangles_drawn: u64,
+    /// Of these, triangles of cubes.
+    pub triangles_far: u64,
     /// Triangles drawn as occluders.
     pub triangles_occluders: u64,
     /// Pixels in which the audit's two pictures differ.
@@ -243,7 +245,7 @@ fn fill_counts(
     row.visible = cull.visible;
     row.with_pixels = draw.hlods_with_pixels;
     row.source_triangles_in_frustum = cull.source_triangles_in_frustum;
-    row.triangles_drawn = draw.triangles;
+    (row.triangles_drawn, row.triangles_far) = (draw.triangles, draw.far_triangles);
     let Missing { replaced, holes, error_px } = draw.missing;
     (row.replaced, row.holes, row.stand_in_error_px) = (replaced, holes, error_px);
     row.triangles_occluders = or.map_or(0, |or| or.triangles);

@@ -76,6 +76,7 @@ pub fn html(summary: &Summary, rows: &[FrameRow], frames_dir: &Path) -> String {
             "count",
             &[
                 curve("drawn", |r| r.triangles_drawn as f64),
+                curve("of cubes", |r| r.triangles_far as f64),
                 curve("occluders", |r| r.triangles_occluders as f64),
             ],
         ),

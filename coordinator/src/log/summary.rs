@@ -90,6 +90,8 @@ pub struct Culling {
 pub struct Triangles {
     /// Drawn into the picture.
     pub drawn: Stats,
+    /// Of these, triangles of cubes.
+    pub far: Stats,
     /// Drawn as occluders.
     pub occluders: Stats,
     /// Of the source, under the hlods in the frustum.
@@ -265,6 +267,7 @@ pub fn summarise(record: &RunRecord, scene: &SceneFacts, rows: &[FrameRow]) -> S
         culling: culling(rows),
         triangles: Triangles {
             drawn: stats(|row| row.triangles_drawn as f64),
+            far: stats(|row| row.triangles_far as f64),
             occluders: stats(|row| row.triangles_occluders as f64),
             source_in_frustum: stats(|row| row.source_triangles_in_frustum as f64),
         },

@@ -51,6 +51,9 @@ pub fn table(summary: &Summary) -> String {
     stats("HC to RVG bytes", &s.bandwidth.hc_to_rvg, 0);
     stats("control bytes", &s.bandwidth.control, 0);
     stats("triangles drawn", &s.triangles.drawn, 0);
+    if s.triangles.far.max > 0.0 {
+        stats("of these, of cubes", &s.triangles.far, 0);
+    }
     stats("source in frustum", &s.triangles.source_in_frustum, 0);
     let c = &s.culling;
     let efficiency = c.efficiency.map_or("not measured".to_owned(), |e| format!("{e:.2}"));

@@ -35,6 +35,9 @@ fn record(schedule: Schedule, frames: u32) -> RunRecord {
         memory: None,
         residency: Residency::Exact,
         prefetch: true,
+        far: protocol::settings::Far::Off,
+        far_cubes: 8,
+        far_triangles: None,
         pictures_dir: None,
     };
     let node = |seat: Seat| NodeRecord {
@@ -95,6 +98,7 @@ fn report(
             draw: (!culls).then(|| DrawCounts {
                 hlods: 30,
                 triangles: 600,
+                far_triangles: 200,
                 hlods_with_pixels: even_picture.then_some(20),
                 picture_hash: Some(u64::from(frame.0)),
                 audit: even_picture.then_some(Audit { differing_pixels: u64::from(frame.0) }),

@@ -1,12 +1,24 @@
 //! `bake`: source scene to scene file.
 
-use super::exit::{CONFIG, Failure, OrExit};
+use super::exit::{CONFIG, Failure, OrExit, UNAVAILABLE, USAGE};
 use super::interrupt::{During, Work};
+use super::replay::{read_path, word};
 use super::say::{say, say_json};
+use super::{path, scene_file};
 use ::bake::Options;
+use ::bake::far::{FarSummary, Settings};
 use ::bake::progress::Bars;
+use anyhow::anyhow;
+use coordinator::camera_path::PathKind;
 use coordinator::config::Bytes;
+use protocol::format::Method;
+use protocol::format::projected::is_side;
+use protocol::settings::{BackendChoice, PictureSize};
+use scene::backend::BackendError;
 use std::path::{Path, PathBuf};
+
+/// Poses of the walk whose cells get far fields where no path is given.
+const WALKED_POSES: u32 = 240;
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
@@ -28,12 +40,53 @@ pub(crate) struct Args {
     /// Seed of everything random
     #[arg(long)]
     seed: Option<u64>,
+    /// none, tdm or itdm: far fields for the view cells that people walk through; INPUT may be a baked
+    /// scene then
+    #[arg(long, value_name = "METHOD", default_value = "none", value_parser = method)]
+    far: Method,
+    /// Only for cells that this camera path visits [default: a generated walk]
+    #[arg(long, value_name = "PATH.csv")]
+    cells_along: Option<PathBuf>,
+    /// Viewpoints at all heights of a cell, not only at that of the path
+    #[arg(long)]
+    far_in_space: bool,
+    /// Pixels along a side of a sample's faces, a power of two
+    #[arg(long, value_name = "PX", default_value_t = 512)]
+    far_side: u32,
+    /// Most samples of a cell
+    #[arg(long, value_name = "N", default_value_t = 16)]
+    far_samples: usize,
+    /// Solid angle of what no sample saw that may be left, steradians
+    #[arg(long, value_name = "SR", default_value_t = 0.2)]
+    far_epsilon: f64,
+    /// Keep what is redundant: every cube is whole
+    #[arg(long)]
+    far_all_intra: bool,
+    /// Most triangles of the source in a view cell before it is divided
+    #[arg(long, value_name = "N", default_value_t = ::bake::far::DEFAULT_CELL_TRIANGLES)]
+    far_cell_triangles: u64,
+    /// The renderer that takes samples: auto, gpu or cpu. The same bytes everywhere come of cpu alone
+    #[arg(long, default_value = "cpu", value_parser = word::<BackendChoice>)]
+    backend: BackendChoice,
     /// Print the summary as JSON
     #[arg(long)]
     json: bool,
 }
 
+fn method(text: &str) -> Result<Method, String> {
+    match text {
+        "none" => Ok(Method::None),
+        "tdm" => Ok(Method::Tdm),
+        "itdm" => Ok(Method::Itdm),
+        other => Err(format!("`{other}` is not none, tdm or itdm")),
+    }
+}
+
 pub(crate) fn run(args: Args) -> Result<(), Failure> {
+    if !is_side(args.far_side) {
+        let reason = anyhow!("--far-side {}: give a power of two from 16 to 4096", args.far_side);
+        return Err(reason).or_exit(USAGE);
+    }
     let mut options = match &args.config {
         Some(path) => Options::from_file(path).or_exit(CONFIG)?,
         None => Options::default(),
@@ -41,8 +94,41 @@ pub(crate) fn run(args: Args) -> Result<(), Failure> {
     options.jobs = args.jobs.unwrap_or(options.jobs);
     options.memory = args.memory.map_or(options.memory, |memory| memory.0);
     options.seed = args.seed.unwrap_or(options.seed);
-    let summary = bake_file(&args.inputs, &args.output, &options)?;
+    let is_baked = args.inputs.len() == 1
+        && args.far != Method::None
+        && args.inputs[0].extension().is_some_and(|extension| extension == "occ");
+    let baked = if is_baked { &args.inputs[0] } else { &args.output };
+    if !is_baked {
+        let summary = bake_file(&args.inputs, &args.output, &options)?;
+        if args.far == Method::None {
+            return if args.json { say_json(&summary) } else { say(summary) };
+        }
+    }
+    let summary = add_far(&args, &options, baked)?;
     if args.json { say_json(&summary) } else { say(summary) }
+}
+
+/// Adds far fields to the scene at `baked`.
+fn add_far(args: &Args, options: &Options, baked: &Path) -> Result<FarSummary, Failure> {
+    let _during = During::new(Work::Baking(args.output.clone()));
+    let poses = match &args.cells_along {
+        Some(path) => read_path(path)?,
+        None => path::poses(&scene_file::open(baked)?, PathKind::Walk, WALKED_POSES, 1)?,
+    };
+    let viewpoints = poses.iter().map(|pose| pose.eye.into()).collect();
+    let mut settings = Settings::new(args.far, viewpoints);
+    (settings.side, settings.in_space) = (args.far_side, args.far_in_space);
+    (settings.samples, settings.epsilon_sr) = (args.far_samples, args.far_epsilon);
+    (settings.all_intra, settings.search_side) = (args.far_all_intra, args.far_side.min(128));
+    settings.division.most_triangles = args.far_cell_triangles;
+    let mut make = |side: u32| {
+        let size = PictureSize { width: side, height: side };
+        node::choose_backend(args.backend, size, options.memory)
+            .map_err(|error| BackendError::NoAdapter(error.to_string()))
+    };
+    let work = || ::bake::far::add_far(baked, &args.output, &settings, &mut make, &Bars::default());
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(options.jobs).build();
+    pool.or_exit(UNAVAILABLE)?.install(work).map_err(|error| Failure::of(error.kind(), error))
 }
 
 /// Bakes with progress bars on a terminal.

@@ -12,7 +12,9 @@ use coordinator::log::summary::Summary;
 use coordinator::log::table::table;
 use coordinator::log::{SceneFacts, write_all};
 use coordinator::run::{self as rig_run, RunError, RunPlan};
-use protocol::settings::{BackendChoice, Cull, PictureSize, Residency, RunSettings, Schedule};
+use protocol::settings::{
+    BackendChoice, Cull, FAR_CUBES, Far, PictureSize, Residency, RunSettings, Schedule,
+};
 use scene::store::Store;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
@@ -80,6 +82,15 @@ pub(crate) struct RunOptions {
     /// Read geometry before it is needed: on or off
     #[arg(long, env = "OCCLUSTER_PREFETCH", value_parser = word::<Switch>)]
     pub(super) prefetch: Option<Switch>,
+    /// off, tdm or itdm: what stands in for what is far, in view cells that were baked with it
+    #[arg(long, env = "OCCLUSTER_FAR", value_parser = word::<Far>)]
+    pub(super) far: Option<Far>,
+    /// Most cubes of a view cell that are drawn [default: 8]
+    #[arg(long, value_name = "K", env = "OCCLUSTER_FAR_CUBES", value_parser = clap::value_parser!(u32).range(1..))]
+    pub(super) far_cubes: Option<u32>,
+    /// Most triangles of cubes in the frustum that are drawn
+    #[arg(long, value_name = "N", env = "OCCLUSTER_FAR_TRIANGLES")]
+    pub(super) far_triangles: Option<u64>,
     /// Show only the first N poses
     #[arg(long, value_name = "N", env = "OCCLUSTER_FRAMES", value_parser = clap::value_parser!(u32).range(1..))]
     pub(super) frames: Option<u32>,
@@ -176,7 +187,7 @@ fn rig_of(args: &Args, rig: &Rig) -> Result<rig_run::Rig, Failure> {
     Ok(rig_run::Rig::Children { program, bind })
 }
 
-fn read_path(path: &Path) -> Result<Vec<Pose>, Failure> {
+pub(super) fn read_path(path: &Path) -> Result<Vec<Pose>, Failure> {
     camera_path::read_csv(path)
         .map_err(|error| Failure { code: error.exit_code(), error: Some(error.into()) })
 }
@@ -204,7 +215,8 @@ fn settings(args: &Args, rig: &Rig, store: &Store, frames: usize) -> Result<RunS
     // The three seats of one process share what it is given.
     let seats = if o.processes.or(rig.processes).is_some_and(|count| count.0 == 1) { 3 } else { 1 };
     let memory = o.memory.or(rig.memory).map(|Bytes(memory)| memory / seats);
-    node::check_memory(memory, store.skeleton(), residency).or_exit(CONFIG)?;
+    let far = o.far.or(rig.far).unwrap_or_default();
+    node::check_memory(memory, store.skeleton(), residency, far).or_exit(CONFIG)?;
     Ok(RunSettings {
         scene_path: absolute(&args.scene)?,
         scene_digest: store.digest(),
@@ -219,6 +231,9 @@ fn settings(args: &Args, rig: &Rig, store: &Store, frames: usize) -> Result<RunS
         memory,
         residency,
         prefetch: o.prefetch.or(rig.prefetch) != Some(Switch::Off),
+        far,
+        far_cubes: o.far_cubes.or(rig.far_cubes).unwrap_or(FAR_CUBES),
+        far_triangles: o.far_triangles.or(rig.far_triangles),
         pictures_dir: pictures_dir.as_deref().map(absolute).transpose()?,
     })
 }

@@ -31,6 +31,7 @@ struct Report {
     scene: String,
     bytes: u64,
     meshes: u64,
+    faces: u64,
     levels: u64,
     vertices: u64,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -68,7 +69,8 @@ pub(crate) fn run(args: Args) -> Result<(), Failure> {
     let report = Report {
         scene: args.scene.display().to_string(),
         bytes: verified.bytes,
-        meshes: verified.blobs,
+        meshes: verified.meshes,
+        faces: verified.faces,
         levels: verified.levels,
         vertices: verified.vertices,
         deep: deep.map(DeepReport::from),
@@ -98,7 +100,8 @@ impl From<Slack> for SlackReport {
 
 impl Display for Report {
     fn fmt(&self, f: &mut Formatter<'_>) -> std::fmt::Result {
-        writeln!(f, "{}: good: {} meshes, {} bytes", self.scene, self.meshes, self.bytes)?;
+        let Self { scene, meshes, faces, bytes, .. } = self;
+        writeln!(f, "{scene}: good: {meshes} meshes, {faces} faces of scan cubes, {bytes} bytes")?;
         let Some(deep) = &self.deep else { return Ok(()) };
         writeln!(
             f,

@@ -2,6 +2,7 @@
 
 mod built;
 mod bytes;
+pub mod far;
 mod giant;
 mod hlod;
 pub mod import;

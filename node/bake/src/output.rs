@@ -9,7 +9,8 @@ use crate::plan::Plan;
 use crate::summary::TreeDepth;
 use crate::work::{Appender, Key, Work, WorkError};
 use protocol::format::{
-    Blob, Finished, Hlod, Level, NONE, Part, SceneInfo, SceneWriter, Wrap, WriteError, WriterState,
+    Blob, Finished, Hlod, Level, NONE, Part, SceneInfo, SceneWriter, Tables, Wrap, WriteError,
+    WriterState,
 };
 use protocol::id::BlobId;
 use std::path::Path;
@@ -206,7 +207,9 @@ impl Output {
             hlods.push(row.hlod);
         }
         let count = levels.len() as u64;
-        let finished = self.writer.finish(info, hlods, levels, parts, plan.transforms.clone())?;
+        let transforms = plan.transforms.clone();
+        let tables = Tables { info, hlods, levels, parts, transforms, ..Tables::default() };
+        let finished = self.writer.finish(tables)?;
         Ok(Written { finished, levels: count, depths })
     }
 }

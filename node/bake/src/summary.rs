@@ -180,11 +180,12 @@ pub(crate) fn of_unchanged(path: &Path, key: &Key) -> Option<Summary> {
     let scene = read_skeleton(path).ok().filter(|scene| scene.skeleton.info.key == *key)?;
     let skeleton = &scene.skeleton;
     let leaves = skeleton.hlods.iter().filter(|hlod| hlod.child_count == 0).count() as u64;
+    let meshes = skeleton.blobs.iter().filter(|blob| !blob.is_projected());
     Some(Summary {
         unchanged: true,
         source_triangles: skeleton.info.source_triangles,
         unique_triangles: skeleton.info.unique_triangles,
-        written_triangles: skeleton.blobs.iter().map(|blob| u64::from(blob.triangles)).sum(),
+        written_triangles: meshes.map(|blob| u64::from(blob.triangles)).sum(),
         objects: Objects { source: u64::from(skeleton.info.objects), leaves, ..Objects::default() },
         textures: skeleton.textures.len() as u64,
         hlods: skeleton.hlods.len() as u64,

@@ -120,6 +120,7 @@ fn small_sheet(random: &mut StdRng, blob: u32) -> Draw {
         linear: [[step, 0.0, 0.0], [0.0, step, 0.0], [0.0, 0.0, step]],
         offset: [along(), along(), -distance],
         distance,
+        disparity_step: 0.0,
     }
 }
 

@@ -78,6 +78,7 @@ impl WgpuBackend {
         let targets = Targets::new(&device, size)?;
         let pipelines = Pipelines::new(&device, rules);
         let meshes = MeshPipelines::new(&device, rules);
+        let memory = GeometryMemory::new(&device);
         let textures = Textures::new(&device);
         device.fault.check()?;
         Ok(Self {
@@ -85,7 +86,7 @@ impl WgpuBackend {
             pipelines,
             meshes,
             targets,
-            memory: GeometryMemory::default(),
+            memory,
             textures,
             budget: budget_bytes,
             staging: Staging::new(budget_bytes),

@@ -1,7 +1,7 @@
 //! A list of draws as instance data and indexed draw calls.
 
 use crate::geometry_memory::{GeometryMemory, Place};
-use crate::mesh_pipelines::{Into, Key};
+use crate::mesh_pipelines::{Into, Key, Reads};
 use protocol::format::Class;
 use scene::backend::Draw;
 use shaders::mirror::Instance;
@@ -65,6 +65,9 @@ impl Plan {
             column_z: draw.linear[2],
             offset: draw.offset,
             item: draw.item.0,
+            disparity_step: draw.disparity_step,
+            picture: place.picture[0],
+            side: place.picture[1],
         });
         Run { place, mirrored: draw.is_mirrored(), instances: at..at + 1 }
     }
@@ -100,19 +103,30 @@ pub(crate) struct Call<'a> {
 impl Run {
     fn call(&self, into: Into, class: Class) -> Option<(Key, Call<'_>)> {
         let indices = self.place.indices_of(class);
-        let key = Key::new(into, class, self.place.textured, self.mirrored);
+        let key = Key::new(into, class, self.place.layout, self.mirrored);
         (!indices.is_empty()).then_some((key, Call { run: self, indices }))
     }
 }
 
-/// Records calls with their pipelines. The uniform's group and the instance buffer (slot 1) are set.
+/// Records calls with their pipelines. The uniform's group and the instance buffer (slot 1) are set;
+/// `textures` is group 1 of those that read textures.
 pub(crate) fn record<'a>(
     pass: &mut wgpu::RenderPass<'_>,
     memory: &GeometryMemory,
-    calls: impl IntoIterator<Item = (&'a wgpu::RenderPipeline, &'a Call<'a>)>,
+    textures: Option<&wgpu::BindGroup>,
+    calls: impl IntoIterator<Item = (&'a wgpu::RenderPipeline, &'a (Key, Call<'a>))>,
 ) {
-    let (mut bound, mut used) = (None, None);
-    for (pipeline, Call { run: Run { place, instances, .. }, indices }) in calls {
+    let (mut bound, mut used, mut read) = (None, None, None);
+    for (pipeline, (key, Call { run: Run { place, instances, .. }, indices })) in calls {
+        let group = match key.reads() {
+            Reads::Nothing => None,
+            Reads::Textures => textures,
+            Reads::Picture => Some(memory.words(place.chunk)),
+        };
+        if group.is_some() && read != group {
+            pass.set_bind_group(1, group, &[]);
+            read = group;
+        }
         if used != Some(pipeline) {
             pass.set_pipeline(pipeline);
             used = Some(pipeline);
@@ -130,12 +144,20 @@ pub(crate) fn record<'a>(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use protocol::format::vertex::Layout;
     use protocol::id::{BlobId, HlodId};
 
     fn draw(blob: u32, item: u32) -> Draw {
         let linear = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
         let (offset, distance) = ([item as f32; 3], item as f32);
-        Draw { blob: BlobId(blob), item: HlodId(item), linear, offset, distance }
+        Draw {
+            blob: BlobId(blob),
+            item: HlodId(item),
+            linear,
+            offset,
+            distance,
+            disparity_step: 0.0,
+        }
     }
 
     fn mirrored(blob: u32, item: u32) -> Draw {
@@ -150,7 +172,8 @@ mod tests {
             base_vertex: draw.blob.0 as i32,
             first_index: 100,
             classes: if draw.blob.0 < 5 { [0, 1, 0, 0, 0, 0] } else { [1, 2, 1, 2, 1, 2] },
-            textured: draw.blob.0 >= 5,
+            layout: if draw.blob.0 < 5 { Layout::Plain } else { Layout::Textured },
+            picture: [0; 2],
         })
     }
 

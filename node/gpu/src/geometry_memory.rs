@@ -1,16 +1,18 @@
 //! Meshes in device memory: a few large buffers, each holding many blobs.
 //!
-//! A blob stays as it came, vertices and then indices, in one range of one buffer that is bound as
-//! vertex and as index buffer. Ranges are multiples of the longest vertex, so that both parts have whole offsets.
+//! A blob stays as it came, vertices, then indices, then the picture if it is projected, in one range of one
+//! buffer that is bound as vertex and as index buffer, and for pictures as words that fragments read. Ranges
+//! are multiples of the longest vertex, so that all parts have whole offsets.
 //!
 //! A buffer that holds no blob any more is kept for those to come, and released where another needs its
 //! room: work that was submitted may still use it, so releasing means to wait.
 
 use crate::device::Device;
+use crate::pipelines::entry;
 use crate::ranges::Ranges;
 use crate::staging::Staging;
 use protocol::format::vertex::Layout;
-use protocol::format::{Blob, Class};
+use protocol::format::{Blob, Class, projected};
 use protocol::id::BlobId;
 use scene::backend::{BackendError, Upload};
 use std::collections::BTreeMap;
@@ -37,8 +39,10 @@ pub(crate) struct Place {
     pub(crate) first_index: u32,
     /// Triangles by class, in which order they lie.
     pub(crate) classes: [u32; Class::COUNT],
-    /// Its vertices are textured.
-    pub(crate) textured: bool,
+    /// What its vertices are.
+    pub(crate) layout: Layout,
+    /// Of a projected one: the first word of its picture in the buffer, and the picture's side in pixels.
+    pub(crate) picture: [u32; 2],
 }
 
 impl Place {
@@ -53,6 +57,8 @@ impl Place {
 struct Chunk {
     buffer: wgpu::Buffer,
     ranges: Ranges,
+    /// The whole of it as words, once it has held a projected blob.
+    words: Option<wgpu::BindGroup>,
 }
 
 #[derive(Clone, Copy)]
@@ -63,14 +69,38 @@ struct Resident {
 }
 
 /// All resident blobs.
-#[derive(Default)]
 pub(crate) struct GeometryMemory {
+    words_layout: wgpu::BindGroupLayout,
     /// A slot is empty after its buffer was released.
     chunks: Vec<Option<Chunk>>,
     blobs: BTreeMap<BlobId, Resident>,
 }
 
 impl GeometryMemory {
+    /// No blob yet.
+    pub(crate) fn new(device: &Device) -> Self {
+        let words = entry(
+            0,
+            wgpu::ShaderStages::FRAGMENT,
+            wgpu::BufferBindingType::Storage { read_only: true },
+        );
+        let descriptor =
+            wgpu::BindGroupLayoutDescriptor { label: Some("words"), entries: &[words] };
+        let words_layout = device.device.create_bind_group_layout(&descriptor);
+        Self { words_layout, chunks: Vec::new(), blobs: BTreeMap::new() }
+    }
+
+    /// Layout of group 1 of pipelines that read pictures.
+    pub(crate) fn words_layout(&self) -> &wgpu::BindGroupLayout {
+        &self.words_layout
+    }
+
+    /// Group 1 of pipelines that read the pictures in a buffer of [`Place::chunk`].
+    pub(crate) fn words(&self, chunk: usize) -> &wgpu::BindGroup {
+        let chunk = self.chunks[chunk].as_ref().expect("a resident blob has a buffer");
+        chunk.words.as_ref().expect("a buffer with a projected blob is bound as words")
+    }
+
     /// Copies a blob to the device, in place of an earlier one of that id. `Full`, and nothing changed,
     /// where all buffers together would exceed `room` bytes.
     ///
@@ -82,34 +112,51 @@ impl GeometryMemory {
         room: u64,
         (id, blob, bytes): (BlobId, &Blob, &[u8]),
     ) -> Result<Upload, BackendError> {
-        let Blob { vertices, triangles, classes, .. } = *blob;
-        let vertex_bytes = blob.vertex_layout().vertex_bytes() as u64;
+        let Blob { vertices, triangles, classes, image: [side, tiles], .. } = *blob;
+        let layout = blob.vertex_layout();
+        let vertex_bytes = layout.vertex_bytes() as u64;
         let index_start = u64::from(vertices) * vertex_bytes;
-        let needed = (index_start + u64::from(triangles) * 6).next_multiple_of(4);
+        let picture_start = (index_start + u64::from(triangles) * 6).next_multiple_of(4);
+        let is_sound = match layout {
+            Layout::Plain | Layout::Textured => true,
+            Layout::Projected => {
+                projected::is_side(side) && classes == Class::OpaqueDouble.all(triangles)
+            }
+        };
+        let of_picture = match layout {
+            Layout::Projected if is_sound => projected::image_bytes(side, tiles),
+            _ => 0,
+        };
+        let needed = picture_start + of_picture;
         let sum: u64 = classes.iter().map(|&count| u64::from(count)).sum();
         if bytes.len() as u64 != needed
             || triangles > u32::MAX / 3
             || Layout::of(blob.layout).is_none()
             || sum != u64::from(triangles)
+            || !is_sound
         {
             return Err(device.unsupported(format!(
                 "blob {id}: {} bytes for {vertices} vertices and {triangles} triangles of classes \
-                 {classes:?}",
+                 {classes:?} and a picture of side {side} with {tiles} tiles",
                 bytes.len()
             )));
         }
-        let textured = blob.is_textured();
         if bytes.is_empty() {
             self.evict(id);
-            let place = Place { chunk: 0, base_vertex: 0, first_index: 0, classes, textured };
+            let picture = [0; 2];
+            let place =
+                Place { chunk: 0, base_vertex: 0, first_index: 0, classes, layout, picture };
             self.blobs.insert(id, Resident { place, offset: 0, length: 0 });
             return Ok(Upload::Done);
         }
         let length = needed.next_multiple_of(GRAIN);
-        let Some((chunk, offset)) = self.take(device, length, room)? else {
+        let Some((chunk, offset)) = self.take(device, length, room, layout)? else {
             return Ok(Upload::Full);
         };
         self.evict(id);
+        if layout == Layout::Projected {
+            self.bind_words(device, chunk);
+        }
         staging.write(device, self.buffer(chunk), offset, bytes)?;
         // Buffers hold 4 GiB at most, so both numbers fit.
         let place = Place {
@@ -117,10 +164,26 @@ impl GeometryMemory {
             base_vertex: (offset / vertex_bytes) as i32,
             first_index: ((offset + index_start) / 2) as u32,
             classes,
-            textured,
+            layout,
+            picture: [((offset + picture_start) / 4) as u32, side],
         };
         self.blobs.insert(id, Resident { place, offset, length });
         Ok(Upload::Done)
+    }
+
+    fn bind_words(&mut self, device: &Device, chunk: usize) {
+        let Chunk { buffer, words, .. } =
+            self.chunks[chunk].as_mut().expect("a blob was given a place in it");
+        words.get_or_insert_with(|| {
+            device.device.create_bind_group(&wgpu::BindGroupDescriptor {
+                label: Some("words"),
+                layout: &self.words_layout,
+                entries: &[wgpu::BindGroupEntry {
+                    binding: 0,
+                    resource: buffer.as_entire_binding(),
+                }],
+            })
+        });
     }
 
     /// Frees a blob's range; nothing happens if it is not there. What is written there from now on comes
@@ -166,19 +229,26 @@ impl GeometryMemory {
     }
 
     /// A free range and its buffer, a new one if need be. None, and nothing changed, where it does not fit.
+    /// A projected blob's buffer is small enough to be bound as words.
     fn take(
         &mut self,
         device: &Device,
         length: u64,
         room: u64,
+        layout: Layout,
     ) -> Result<Option<(usize, u64)>, BackendError> {
+        let bound = match layout {
+            Layout::Plain | Layout::Textured => u64::MAX,
+            Layout::Projected => device.limits.max_storage_buffer_binding_size,
+        };
+        // 16-bit index offsets are counted in 32 bits.
+        let limit = device.limits.max_buffer_size.min(1 << 32).min(bound) / GRAIN * GRAIN;
         for (i, chunk) in self.chunks.iter_mut().enumerate() {
-            if let Some(offset) = chunk.as_mut().and_then(|chunk| chunk.ranges.take(length)) {
+            let chunk = chunk.as_mut().filter(|chunk| chunk.buffer.size() <= limit);
+            if let Some(offset) = chunk.and_then(|chunk| chunk.ranges.take(length)) {
                 return Ok(Some((i, offset)));
             }
         }
-        // 16-bit index offsets are counted in 32 bits.
-        let limit = device.limits.max_buffer_size.min(1 << 32) / GRAIN * GRAIN;
         if length > limit {
             return Err(
                 device.unsupported(format!("a mesh of {length} bytes; a buffer holds {limit}"))
@@ -194,7 +264,8 @@ impl GeometryMemory {
         let held = self.held_bytes();
         let wished = held.clamp(FIRST_CHUNK_BYTES, LARGEST_CHUNK_BYTES).min(room / LEAST_CHUNKS);
         let size = wished.max(length).min(left(held)).min(limit) / GRAIN * GRAIN;
-        let chunk = Chunk { buffer: geometry_buffer(device, size), ranges: Ranges::new(size) };
+        let buffer = geometry_buffer(device, size);
+        let chunk = Chunk { buffer, ranges: Ranges::new(size), words: None };
         let slot = self.chunks.iter().position(Option::is_none).unwrap_or_else(|| {
             self.chunks.push(None);
             self.chunks.len() - 1
@@ -210,6 +281,7 @@ fn geometry_buffer(device: &Device, size: u64) -> wgpu::Buffer {
         size,
         usage: wgpu::BufferUsages::VERTEX
             | wgpu::BufferUsages::INDEX
+            | wgpu::BufferUsages::STORAGE
             | wgpu::BufferUsages::COPY_DST,
         mapped_at_creation: false,
     })

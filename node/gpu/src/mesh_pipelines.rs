@@ -2,6 +2,9 @@
 //!
 //! What a scene does not hold costs nothing: no pipeline of a scene without textures binds one, and only
 //! what has holes gives up the early depth test. On drivers that need the guard all do.
+//!
+//! Projected blobs are guarded, but their depth is not moved: no box stands for them, and at infinity there
+//! is nowhere to move it to.
 
 use crate::device::Device;
 use crate::pipelines::{Recipe, attributes, compile};
@@ -46,12 +49,34 @@ pub(crate) struct Key {
     into: Into,
     kind: Kind,
     faces: Faces,
-    textured: bool,
+    layout: Layout,
+}
+
+/// What a pipeline's shader reads as group 1.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Reads {
+    /// It has none.
+    Nothing,
+    /// The scene's textures.
+    Textures,
+    /// The buffer the blob lies in.
+    Picture,
+}
+
+/// Layouts of the groups of pipelines.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Groups<'a> {
+    /// Group 0, the uniform's.
+    pub(crate) frame: &'a wgpu::BindGroupLayout,
+    /// Group 1 of what reads textures.
+    pub(crate) textures: &'a wgpu::BindGroupLayout,
+    /// Group 1 of what reads pictures.
+    pub(crate) words: &'a wgpu::BindGroupLayout,
 }
 
 impl Key {
     /// For triangles of a class. `mirrored`: the placement turns corners the other way.
-    pub(crate) fn new(into: Into, class: Class, textured: bool, mirrored: bool) -> Self {
+    pub(crate) fn new(into: Into, class: Class, layout: Layout, mirrored: bool) -> Self {
         let kind = match () {
             () if class.is_mask() => Kind::Mask,
             () if class.is_blend() => Kind::Blend,
@@ -62,15 +87,15 @@ impl Key {
             (true, false) => Faces::CounterClockwise,
             (true, true) => Faces::Clockwise,
         };
-        Self { into, kind, faces, textured }
+        Self { into, kind, faces, layout }
     }
 
-    /// Its shader reads textures.
-    pub(crate) fn binds_textures(self) -> bool {
-        match self.into {
-            Into::Depth => false,
-            Into::Picture => self.textured,
-            Into::Items => self.kind == Kind::Mask,
+    /// What its shader reads.
+    pub(crate) fn reads(self) -> Reads {
+        match (self.into, self.layout, self.kind) {
+            (Into::Picture, Layout::Projected, _) => Reads::Picture,
+            (Into::Picture, Layout::Textured, _) | (Into::Items, _, Kind::Mask) => Reads::Textures,
+            _ => Reads::Nothing,
         }
     }
 }
@@ -96,11 +121,11 @@ impl MeshPipelines {
         Self { sound, compiled: BTreeMap::new() }
     }
 
-    /// The pipeline of `key`. `groups`: the layouts of the uniform's group and of the textures'.
+    /// The pipeline of `key`.
     pub(crate) fn get(
         &mut self,
         device: &wgpu::Device,
-        groups: [&wgpu::BindGroupLayout; 2],
+        groups: Groups<'_>,
         key: Key,
     ) -> wgpu::RenderPipeline {
         let sound = self.sound;
@@ -110,17 +135,26 @@ impl MeshPipelines {
 
 fn made(
     device: &wgpu::Device,
-    groups: [&wgpu::BindGroupLayout; 2],
+    groups: Groups<'_>,
     key: Key,
     sound: Soundness,
 ) -> wgpu::RenderPipeline {
-    let (source, fragment) = match (key.into, key.kind, key.textured) {
+    let (source, fragment) = match (key.into, key.kind, key.layout) {
+        (Into::Depth, _, Layout::Projected) => {
+            (shaders::PROJECTED, sound.guards.then_some("fragment_guard"))
+        }
+        (Into::Picture, _, Layout::Projected) => (shaders::PROJECTED, Some("fragment_main")),
+        (Into::Items, _, Layout::Projected) => (shaders::PROJECTED, Some("fragment_items")),
         (Into::Depth, ..) => (shaders::DEPTH, sound.guards.then_some("fragment_guard")),
         (Into::Picture, Kind::Mask, _) => (shaders::SHADE_MASK, Some("fragment_mask")),
-        (Into::Picture, Kind::Opaque, true) => (shaders::SHADE_TEXTURED, Some("fragment_main")),
-        (Into::Picture, Kind::Opaque, false) => (shaders::SHADE, Some("fragment_main")),
-        (Into::Picture, Kind::Blend, true) => (shaders::SHADE_TEXTURED, Some("fragment_blend")),
-        (Into::Picture, Kind::Blend, false) => (shaders::SHADE, Some("fragment_blend")),
+        (Into::Picture, Kind::Opaque, Layout::Textured) => {
+            (shaders::SHADE_TEXTURED, Some("fragment_main"))
+        }
+        (Into::Picture, Kind::Opaque, Layout::Plain) => (shaders::SHADE, Some("fragment_main")),
+        (Into::Picture, Kind::Blend, Layout::Textured) => {
+            (shaders::SHADE_TEXTURED, Some("fragment_blend"))
+        }
+        (Into::Picture, Kind::Blend, Layout::Plain) => (shaders::SHADE, Some("fragment_blend")),
         (Into::Items, Kind::Mask, _) => (shaders::ITEMS_MASK, Some("fragment_main")),
         (Into::Items, ..) => (shaders::ITEMS, Some("fragment_main")),
     };
@@ -139,16 +173,20 @@ fn made(
             operation: wgpu::BlendOperation::Add,
         },
     };
-    let layout = if key.textured { Layout::Textured } else { Layout::Plain };
-    let mut of_vertex = attributes(Vertex::FIRST_LOCATION, Vertex::FIELDS, 0);
-    if key.binds_textures() {
+    let fields = match key.layout {
+        Layout::Plain | Layout::Textured => Vertex::FIELDS,
+        // The position alone.
+        Layout::Projected => &Vertex::FIELDS[..1],
+    };
+    let mut of_vertex = attributes(Vertex::FIRST_LOCATION, fields, 0);
+    if key.reads() == Reads::Textures {
         let after = size_of::<Vertex>() as u64;
         of_vertex.extend(attributes(Texturing::FIRST_LOCATION, Texturing::FIELDS, after));
     }
     let of_instance = attributes(Instance::FIRST_LOCATION, Instance::FIELDS, 0);
     let buffers = [
         Some(wgpu::VertexBufferLayout {
-            array_stride: layout.vertex_bytes() as u64,
+            array_stride: key.layout.vertex_bytes() as u64,
             step_mode: wgpu::VertexStepMode::Vertex,
             attributes: &of_vertex,
         }),
@@ -158,8 +196,11 @@ fn made(
             attributes: &of_instance,
         }),
     ];
-    let [frame, textures] = groups.map(Some);
-    let both = [frame, textures];
+    let groups = match key.reads() {
+        Reads::Nothing => &[Some(groups.frame)][..],
+        Reads::Textures => &[Some(groups.frame), Some(groups.textures)],
+        Reads::Picture => &[Some(groups.frame), Some(groups.words)],
+    };
     let recipe = Recipe {
         label: &format!("{key:?}"),
         source: &shaders::for_meshes(source, sound.guards),
@@ -169,12 +210,12 @@ fn made(
             blend: (blends && key.into == Into::Picture).then_some(over),
             ..wgpu::ColorTargetState::from(format)
         }),
-        groups: if key.binds_textures() { &both } else { &both[..1] },
+        groups,
         buffers: &buffers,
         cull: (key.faces != Faces::Both).then_some(wgpu::Face::Back),
         front: if key.faces == Faces::Clockwise { FrontFace::Cw } else { FrontFace::Ccw },
         depth_write: !blends,
-        bias_px: sound.bias_px,
+        bias_px: if key.layout == Layout::Projected { 0.0 } else { sound.bias_px },
         compare: CompareFunction::GreaterEqual,
     };
     compile(device, &recipe)
@@ -185,21 +226,31 @@ mod tests {
     use super::*;
 
     #[test]
-    fn plain_meshes_bind_no_texture() {
+    fn plain_meshes_read_nothing() {
         for class in Class::ALL {
             for into in [Into::Depth, Into::Picture, Into::Items] {
-                let bound = Key::new(into, class, false, false).binds_textures();
-                assert_eq!(bound, into == Into::Items && class.is_mask());
+                let reads = Key::new(into, class, Layout::Plain, false).reads();
+                let masked = into == Into::Items && class.is_mask();
+                assert_eq!(reads, if masked { Reads::Textures } else { Reads::Nothing });
             }
-            assert!(Key::new(Into::Picture, class, true, false).binds_textures());
-            assert!(!Key::new(Into::Depth, class, true, false).binds_textures());
+            let reads = |into| Key::new(into, class, Layout::Textured, false).reads();
+            assert_eq!(reads(Into::Picture), Reads::Textures);
+            assert_eq!(reads(Into::Depth), Reads::Nothing);
         }
+    }
+
+    #[test]
+    fn pictures_of_projected_blobs_alone_read_them() {
+        let reads = [Into::Depth, Into::Items, Into::Picture]
+            .map(|into| Key::new(into, Class::OpaqueDouble, Layout::Projected, false).reads());
+        assert_eq!(reads, [Reads::Nothing, Reads::Nothing, Reads::Picture]);
     }
 
     #[test]
     fn a_mirror_turns_single_sided_faces_alone() {
         for class in Class::ALL {
-            let keys = [false, true].map(|mirrored| Key::new(Into::Depth, class, true, mirrored));
+            let keys = [false, true]
+                .map(|mirrored| Key::new(Into::Depth, class, Layout::Textured, mirrored));
             assert_eq!(keys[0] == keys[1], !class.is_single_sided(), "{class:?}");
         }
     }

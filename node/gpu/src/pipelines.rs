@@ -158,7 +158,7 @@ pub(crate) fn compile(device: &wgpu::Device, recipe: &Recipe<'_>) -> wgpu::Rende
     })
 }
 
-fn entry(
+pub(crate) fn entry(
     binding: u32,
     visibility: wgpu::ShaderStages,
     ty: wgpu::BufferBindingType,

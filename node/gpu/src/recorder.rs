@@ -3,7 +3,7 @@
 use crate::device::Device;
 use crate::draws::{self, Call};
 use crate::geometry_memory::GeometryMemory;
-use crate::mesh_pipelines::{Key, MeshPipelines};
+use crate::mesh_pipelines::{Groups, Key, MeshPipelines, Reads};
 use crate::pipelines::Pipelines;
 use crate::targets::Target;
 use crate::textures::Textures;
@@ -45,17 +45,19 @@ impl Recorder<'_> {
         });
         let Some(instances) = self.instances else { return };
         pass.set_bind_group(0, &self.pipelines.frame_group, &[]);
-        if calls.iter().any(|(key, _)| key.binds_textures()) {
-            pass.set_bind_group(1, self.textures.group(self.device), &[]);
-        }
+        let reads_textures = calls.iter().any(|(key, _)| key.reads() == Reads::Textures);
+        let textures = reads_textures.then(|| self.textures.group(self.device));
         pass.set_vertex_buffer(1, instances.slice(..));
-        let calls = calls.iter().map(|(_, call)| call);
-        draws::record(&mut pass, self.memory, pipelines.iter().zip(calls));
+        draws::record(&mut pass, self.memory, textures, pipelines.iter().zip(calls));
     }
 
     /// The pipeline of each call; neighbours mostly share theirs.
     fn pipelines_of(&mut self, calls: &[(Key, Call<'_>)]) -> Vec<wgpu::RenderPipeline> {
-        let groups = [&self.pipelines.frame_group_layout, self.textures.layout()];
+        let groups = Groups {
+            frame: &self.pipelines.frame_group_layout,
+            textures: self.textures.layout(),
+            words: self.memory.words_layout(),
+        };
         let mut found: Vec<wgpu::RenderPipeline> = Vec::with_capacity(calls.len());
         for (at, (key, _)) in calls.iter().enumerate() {
             found.push(match found.last() {

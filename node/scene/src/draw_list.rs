@@ -65,6 +65,7 @@ fn draw_of(skeleton: &Skeleton, item: HlodId, part: &Part, eye: [f64; 3]) -> Dra
         linear: placement.linear.map(|column| column.map(|c| (c * mesh.step) as f32)),
         offset: std::array::from_fn(|k| (origin[k] - eye[k]) as f32),
         distance: 0.0,
+        disparity_step: 0.0,
     }
 }
 

@@ -1,9 +1,11 @@
-//! A small scene file for tests: a root with a stand-in over a plain leaf and an instance.
+//! A small scene file for tests: a root with a stand-in over a plain leaf and an instance, and a view cell
+//! with a scan cube of one face.
 
 use crate::store::Store;
 use bytemuck::Zeroable;
-use protocol::format::{Class, Finished, Hlod, Level, NONE, Part, SceneInfo, SceneWriter};
-use protocol::format::{Transform, Vertex, Vertices, Wrap};
+use protocol::format::projected::{NewFace, TILE_BYTES};
+use protocol::format::{Class, Finished, Hlod, Level, NONE, Part, SceneInfo, SceneWriter, Tables};
+use protocol::format::{Cube, Method, Transform, Vertex, Vertices, ViewCell, Wrap};
 use protocol::id::BlobId;
 use std::path::Path;
 use tempfile::TempDir;
@@ -35,6 +37,30 @@ pub(crate) fn write_with(path: &Path, seed: u64, change: impl FnOnce(&mut [Hlod]
     let wide = grid(&[[0, 0, 0], [5, 0, 0], [0, 1, 1]]);
     let coarse = add(1.0, &wide, &[2, 1, 0]);
 
+    let face = NewFace {
+        step: 0.5,
+        side: 16,
+        vertices: &[[0, 1 << 12], [256, 1 << 12], [0, 0]],
+        indices: &[0, 1, 2],
+        table: &[1],
+        tiles: &[[0x5a; TILE_BYTES]],
+    };
+    let BlobId(face) = writer.add_face(&face).unwrap();
+    let cube = Cube {
+        eye: [2.0; 3],
+        faces: [face, NONE, NONE, NONE, NONE, NONE],
+        parent: NONE,
+        triangles: 1,
+    };
+    let cell = ViewCell {
+        min: [1.0; 3],
+        max: [3.0; 3],
+        first_cube: 0,
+        cube_count: 1,
+        method: Method::Itdm as u32,
+        reserved: 0,
+        objective: 0.0,
+    };
     // Nothing shows it; what is read and checked of a file holds for it all the same.
     writer.add_texture(1, [Wrap::Repeat; 2], &[1, 2, 3, 4]).unwrap();
 
@@ -83,7 +109,10 @@ pub(crate) fn write_with(path: &Path, seed: u64, change: impl FnOnce(&mut [Hlod]
     };
     let mut hlods = vec![root, leaf, instance];
     change(&mut hlods);
-    writer.finish(info, hlods, levels, parts, vec![quarter]).unwrap()
+    let transforms = vec![quarter];
+    let (view_cells, cubes) = (vec![cell], vec![cube]);
+    let tables = Tables { info, hlods, levels, parts, transforms, view_cells, cubes };
+    writer.finish(tables).unwrap()
 }
 
 /// The scene, opened; it lives as long as the folder.
@@ -123,5 +152,6 @@ pub(crate) fn write_large(path: &Path, blobs: u32) {
         objects: 1,
         ..SceneInfo::zeroed()
     };
-    writer.finish(info, vec![leaf], vec![level], parts, Vec::new()).unwrap();
+    let (hlods, levels) = (vec![leaf], vec![level]);
+    writer.finish(Tables { info, hlods, levels, parts, ..Tables::default() }).unwrap();
 }

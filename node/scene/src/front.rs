@@ -3,6 +3,7 @@
 //! Every process computes it for itself, so its arithmetic is `+ - * / sqrt` in f64 alone and every
 //! coordinate is made relative to the eye first: the same bits everywhere.
 
+use crate::near_field::{NearField, Reach};
 use crate::view::{frustum, pixel_at_unit_depth};
 use geometry::bounds::Aabb;
 use geometry::frustum::Containment;
@@ -38,6 +39,44 @@ pub fn box_from_eye(hlod: &Hlod, eye: [f64; 3]) -> Aabb {
     Aabb { min: DVec3::from_array(hlod.min) - eye, max: DVec3::from_array(hlod.max) - eye }
 }
 
+/// Which part of the scene a front is made of.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Field<'a> {
+    /// All of it.
+    Whole,
+    /// The leaves of a near field.
+    Near(&'a NearField),
+    /// All but them.
+    Far(&'a NearField),
+}
+
+/// What a field does to an hlod.
+enum Choice {
+    /// It may be drawn.
+    Take,
+    /// Only what is below it may.
+    Descend,
+    /// Nothing of it is drawn.
+    Leave,
+}
+
+impl Field<'_> {
+    fn choice(self, id: HlodId) -> Choice {
+        let (near, is_near_wanted) = match self {
+            Field::Whole => return Choice::Take,
+            Field::Near(near) => (near, true),
+            Field::Far(near) => (near, false),
+        };
+        match near.reach_of(id) {
+            Reach::Leaf if is_near_wanted => Choice::Take,
+            Reach::Leaf => Choice::Leave,
+            Reach::Below => Choice::Descend,
+            Reach::None if is_near_wanted => Choice::Leave,
+            Reach::None => Choice::Take,
+        }
+    }
+}
+
 /// How the traversal came to an hlod.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum State {
@@ -57,6 +96,17 @@ enum State {
 /// `projected = error / distance(eye, box) * height / (2 tan(fov/2))`. With `lod_px` 0 it is the
 /// leaves' level 0, the original geometry.
 pub fn front(skeleton: &Skeleton, camera: &Camera, size: PictureSize, lod_px: f64) -> Front {
+    front_of(skeleton, camera, size, lod_px, Field::Whole)
+}
+
+/// The same of a part of the scene: an hlod is refined where only some of what is below it belongs to it.
+pub fn front_of(
+    skeleton: &Skeleton,
+    camera: &Camera,
+    size: PictureSize,
+    lod_px: f64,
+    field: Field<'_>,
+) -> Front {
     let frustum = frustum(camera, size);
     let allowed_at_unit_distance = lod_px * pixel_at_unit_depth(camera, size);
     let mut front = Front::default();
@@ -72,6 +122,10 @@ pub fn front(skeleton: &Skeleton, camera: &Camera, size: PictureSize, lod_px: f6
             continue;
         }
         let hlod = &skeleton.hlods[id];
+        let choice = field.choice(HlodId(id as u32));
+        if matches!(choice, Choice::Leave) {
+            continue;
+        }
         let seen_from_eye = box_from_eye(hlod, camera.eye);
         if state == State::Reached {
             state = match frustum.contains(&seen_from_eye) {
@@ -80,7 +134,7 @@ pub fn front(skeleton: &Skeleton, camera: &Camera, size: PictureSize, lod_px: f6
                 Containment::Crossing => State::Reached,
             };
         }
-        let level = if lod_px > 0.0 {
+        let level = if lod_px > 0.0 && matches!(choice, Choice::Take) {
             let allowed = allowed_at_unit_distance * seen_from_eye.distance(DVec3::ZERO);
             skeleton.levels_of(hlod).iter().rposition(|level| level.error <= allowed)
         } else {
@@ -109,6 +163,7 @@ pub fn front(skeleton: &Skeleton, camera: &Camera, size: PictureSize, lod_px: f6
 mod tests {
     use super::*;
     use crate::random_scene::RandomScene;
+    use rand::Rng;
 
     const SIZE: PictureSize = PictureSize { width: 320, height: 200 };
 
@@ -125,6 +180,44 @@ mod tests {
             let camera = scene.camera();
             (scene, camera)
         })
+    }
+
+    #[test]
+    fn near_and_far_are_the_whole_without_overlap() {
+        let mut both = 0;
+        for (mut scene, camera) in cases() {
+            let eye = camera.eye;
+            let reach: f64 = scene.rng.random_range(0.1..20.0);
+            let near =
+                NearField::new(&scene.skeleton, eye.map(|c| c - reach), eye.map(|c| c + reach));
+            let skeleton = &scene.skeleton;
+            let of = |field| front_of(skeleton, &camera, SIZE, 2.0, field).entries;
+            let leaves = |entries: &[FrontEntry]| -> Vec<HlodId> {
+                let mut waiting: Vec<HlodId> = entries.iter().map(|entry| entry.hlod).collect();
+                let mut leaves = Vec::new();
+                while let Some(id) = waiting.pop() {
+                    let hlod = skeleton.hlod(id);
+                    waiting.extend(skeleton.children_of(hlod));
+                    leaves.extend((hlod.child_count == 0).then_some(id));
+                }
+                leaves.sort();
+                leaves
+            };
+            let (here, there) = (of(Field::Near(&near)), of(Field::Far(&near)));
+            assert!(here.iter().all(|entry| near.leaves().contains(&entry.hlod)));
+            let far_leaves = leaves(&there);
+            assert!(far_leaves.iter().all(|leaf| !near.leaves().contains(leaf)));
+            let frustum = frustum(&camera, SIZE);
+            let whole = leaves(&of(Field::Whole));
+            let apart = [leaves(&here), far_leaves].concat();
+            for leaf in whole {
+                let seen = box_from_eye(skeleton.hlod(leaf), camera.eye);
+                let is_out = frustum.contains(&seen) == Containment::Outside;
+                assert!(is_out || apart.iter().filter(|other| **other == leaf).count() == 1);
+            }
+            both += usize::from(!here.is_empty() && !there.is_empty());
+        }
+        assert!(both > 10, "{both}");
     }
 
     #[test]

@@ -6,6 +6,7 @@ pub mod draw_list;
 #[cfg(test)]
 mod fixture;
 pub mod front;
+pub mod near_field;
 pub mod occludee;
 pub mod occluders;
 pub mod prefetch;

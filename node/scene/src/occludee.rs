@@ -58,6 +58,7 @@
 //!
 //! A fragment that a bias moves beyond 0 or 1 is dropped or held there, in every pass alike. The CPU backend
 //! takes coverage and depth from the same snapped corners in f64, and so needs neither bias nor guard.
+//! Projected blobs are guarded but not moved: no box stands for them, and none is to be hidden by them.
 //!
 //! # Growing pays for the rest
 //!

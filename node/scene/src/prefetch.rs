@@ -6,7 +6,8 @@
 //! long ago, the siblings of what is visible, and what enters the frustum, the nearest first. Where there
 //! is room for more, what is hidden in the frustum comes last.
 
-use crate::front::{Front, FrontEntry, box_from_eye, front};
+use crate::front::{Front, FrontEntry, box_from_eye, front_of};
+use crate::near_field::Cells;
 use crate::occluders::map_onto_front;
 use glam::DVec3;
 use protocol::camera::Camera;
@@ -62,6 +63,7 @@ pub struct Outlook {
 /// Remembers what was visible, and makes forecasts.
 pub struct Forecaster {
     skeleton: Arc<Skeleton>,
+    cells: Arc<Cells>,
     size: PictureSize,
     lod_px: f64,
     /// By hlod, the outlook in which it was last visible; 0 for never.
@@ -83,10 +85,15 @@ struct Steps {
 }
 
 impl Forecaster {
-    /// For pictures of one size and error.
-    pub fn new(skeleton: Arc<Skeleton>, size: PictureSize, lod_px: f64) -> Self {
+    /// For pictures of one size and error, with far fields in `cells`.
+    pub fn new(skeleton: Arc<Skeleton>, cells: Arc<Cells>, size: PictureSize, lod_px: f64) -> Self {
         let last_visible = vec![0; skeleton.hlods.len()];
-        Self { skeleton, size, lod_px, last_visible, outlooks: 0, steps: Steps::default() }
+        Self { skeleton, cells, size, lod_px, last_visible, outlooks: 0, steps: Steps::default() }
+    }
+
+    fn front(&self, camera: &Camera) -> Front {
+        let field = self.cells.field_at(camera.eye);
+        front_of(&self.skeleton, camera, self.size, self.lod_px, field)
     }
 
     /// Begins a new forecast in place of the last one.
@@ -114,7 +121,7 @@ impl Forecaster {
         self.steps.next += skipped + 1;
         let entries = match event {
             Event::LodSwitch => {
-                let front = front(&self.skeleton, &outlook.ahead[horizon], self.size, self.lod_px);
+                let front = self.front(&outlook.ahead[horizon]);
                 let standing = map_onto_front(&self.skeleton, &outlook.visible, &front);
                 self.steps.fronts.push(front);
                 self.steps.standing.push(standing.clone());
@@ -142,11 +149,12 @@ impl Forecaster {
 
     /// Entries that the frustum of the last drawing did not hold, nearest first.
     fn entering(&mut self, horizon: usize, outlook: &Outlook) -> Vec<FrontEntry> {
-        let held = self.steps.present.get_or_insert_with(|| {
-            let of = |camera| front(&self.skeleton, &camera, self.size, self.lod_px).entries;
-            let entries = outlook.drawn.map(of).unwrap_or_default();
-            VisibleSet::from_sorted(entries.iter().map(|entry| entry.hlod).collect())
-        });
+        if self.steps.present.is_none() {
+            let entries = outlook.drawn.map(|camera| self.front(&camera).entries);
+            let ids = entries.unwrap_or_default().iter().map(|entry| entry.hlod).collect();
+            self.steps.present = Some(VisibleSet::from_sorted(ids));
+        }
+        let held = self.steps.present.as_ref().expect("made if it was not there");
         let standing = map_onto_front(&self.skeleton, held, &self.steps.fronts[horizon]);
         let known: BTreeSet<HlodId> = standing.iter().map(|entry| entry.hlod).collect();
         self.nearest_first(horizon, outlook, |hlod| !known.contains(&hlod))
@@ -175,6 +183,7 @@ impl Forecaster {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::front::front;
     use crate::random_scene::RandomScene;
 
     const SIZE: PictureSize = PictureSize { width: 64, height: 48 };
@@ -186,7 +195,7 @@ mod tests {
     #[test]
     fn without_an_outlook_nothing_is_foreseen() {
         let scene = RandomScene::new(1, 2, 16.0);
-        let mut forecaster = Forecaster::new(Arc::new(scene.skeleton), SIZE, 1.0);
+        let mut forecaster = Forecaster::new(Arc::new(scene.skeleton), Arc::default(), SIZE, 1.0);
         assert!(forecaster.next_levels().is_none());
         let visible = Arc::new(VisibleSet::whole_scene());
         forecaster.begin(Outlook { drawn: None, ahead: vec![], visible });
@@ -202,7 +211,7 @@ mod tests {
             let here = front(&skeleton, &now, SIZE, 2.0);
             let ids = here.entries.iter().step_by(3).map(|entry| entry.hlod).collect();
             let visible = Arc::new(VisibleSet::from_sorted(ids));
-            let mut forecaster = Forecaster::new(Arc::clone(&skeleton), SIZE, 2.0);
+            let mut forecaster = Forecaster::new(Arc::clone(&skeleton), Arc::default(), SIZE, 2.0);
             let outlook = Outlook { drawn: Some(now), ahead, visible: Arc::clone(&visible) };
             forecaster.begin(outlook.clone());
             let found = all_levels(&mut forecaster);
@@ -230,7 +239,7 @@ mod tests {
         let here = front(&skeleton, &now, SIZE, 0.0);
         let ids = here.entries.iter().map(|entry| entry.hlod).collect();
         let visible = Arc::new(VisibleSet::from_sorted(ids));
-        let mut forecaster = Forecaster::new(Arc::clone(&skeleton), SIZE, 0.0);
+        let mut forecaster = Forecaster::new(Arc::clone(&skeleton), Arc::default(), SIZE, 0.0);
         forecaster.begin(Outlook { drawn: Some(now), ahead: vec![back, now], visible });
         let named: BTreeSet<u32> =
             all_levels(&mut forecaster).into_iter().flat_map(|(_, levels)| levels).collect();
@@ -247,7 +256,7 @@ mod tests {
         let skeleton = Arc::new(scene.skeleton);
         let here = front(&skeleton, &now, SIZE, 0.0);
         let last = here.entries.last().unwrap().hlod;
-        let mut forecaster = Forecaster::new(Arc::clone(&skeleton), SIZE, 0.0);
+        let mut forecaster = Forecaster::new(Arc::clone(&skeleton), Arc::default(), SIZE, 0.0);
         let outlook = |ids| {
             let visible = Arc::new(VisibleSet::from_sorted(ids));
             Outlook { drawn: Some(now), ahead: vec![now], visible }

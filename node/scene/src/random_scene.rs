@@ -46,6 +46,8 @@ impl RandomScene {
             blobs: vec![],
             transforms: vec![],
             textures: vec![],
+            view_cells: vec![],
+            cubes: vec![],
         };
         let mut rng = StdRng::seed_from_u64(seed);
         let textures = [8, 32].map(|side| texture(&mut rng, side)).into();

@@ -4,6 +4,7 @@
 //! [`protocol::format::check()`]; this reads all the rest.
 
 use crate::store::{Content, Store, StoreError};
+use protocol::format::check::check_disjoint;
 use protocol::format::mesh::vertices_of;
 use protocol::format::{Blob, Hlod, Transform, Vertex, Violation, check};
 use protocol::id::{BlobId, HlodId};
@@ -19,7 +20,9 @@ pub struct Verified {
     /// Hlods whose boxes were held against their geometry.
     pub hlods: u64,
     /// Meshes whose contents were read.
-    pub blobs: u64,
+    pub meshes: u64,
+    /// Faces of scan cubes whose contents were read.
+    pub faces: u64,
     /// Textures whose contents were read.
     pub textures: u64,
     /// Levels whose vertices were placed.
@@ -98,7 +101,9 @@ impl VerifyError {
 pub fn verify(store: &Store) -> Result<Verified, VerifyError> {
     let path = || store.path().to_path_buf();
     let skeleton = store.skeleton();
-    check(skeleton).map_err(|source| VerifyError::Rule { path: path(), source })?;
+    check(skeleton)
+        .and_then(|()| check_disjoint(&skeleton.view_cells))
+        .map_err(|source| VerifyError::Rule { path: path(), source })?;
 
     // Blobs come before the digest: they say where the damage is, it only says that there is some.
     let ids = (0..skeleton.blobs.len() as u32).into_par_iter().map(BlobId);
@@ -110,10 +115,12 @@ pub fn verify(store: &Store) -> Result<Verified, VerifyError> {
     }
     let hlods = skeleton.hlods.par_iter().enumerate();
     let counts = first_error(hlods.map(|(i, hlod)| check_box(store, HlodId(i as u32), hlod)))?;
+    let faces = skeleton.blobs.iter().filter(|blob| blob.is_projected()).count() as u64;
     Ok(Verified {
         bytes: store.bytes(),
         hlods: skeleton.hlods.len() as u64,
-        blobs: skeleton.blobs.len() as u64,
+        meshes: skeleton.blobs.len() as u64 - faces,
+        faces,
         textures: skeleton.textures.len() as u64,
         levels: skeleton.levels.len() as u64,
         vertices: counts.iter().sum(),
@@ -212,8 +219,8 @@ mod tests {
         let (_folder, store) = fixture::store();
         let verified = verify(&store).unwrap();
         assert_eq!(verified.bytes, std::fs::metadata(store.path()).unwrap().len());
-        assert_eq!((verified.hlods, verified.blobs, verified.levels), (3, 2, 3));
-        assert_eq!((verified.vertices, verified.textures), (3 + 4 + 4, 1));
+        assert_eq!((verified.hlods, verified.meshes, verified.levels), (3, 2, 3));
+        assert_eq!((verified.vertices, verified.textures, verified.faces), (3 + 4 + 4, 1, 1));
     }
 
     #[test]
@@ -237,7 +244,7 @@ mod tests {
         let (folder, store) = fixture::store();
         let mut bytes = std::fs::read(store.path()).unwrap();
         let blob = store.skeleton().blobs[0];
-        bytes[384 + (blob.offset + blob.bytes) as usize] = 1;
+        bytes[448 + (blob.offset + blob.bytes) as usize] = 1;
         let path = folder.path().join("padded.occ");
         std::fs::write(&path, &bytes).unwrap();
         let error = verify(&Store::open(&path).unwrap()).unwrap_err();
@@ -266,7 +273,7 @@ mod tests {
         let mut bytes = std::fs::read(store.path()).unwrap();
         bytes[40] ^= 1;
         bytes[28..32].fill(0);
-        let crc = crc32c(&bytes[..384]);
+        let crc = crc32c(&bytes[..448]);
         bytes[28..32].copy_from_slice(&crc.to_le_bytes());
         let path = folder.path().join("renamed.occ");
         std::fs::write(&path, &bytes).unwrap();

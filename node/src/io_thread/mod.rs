@@ -9,6 +9,7 @@ pub(crate) mod pool;
 mod tests;
 
 use crossbeam_channel::{Receiver, Sender, TryRecvError, bounded, select};
+use farfield::field::FarField;
 use pool::{Buffer, Pool};
 use protocol::format::Skeleton;
 use protocol::id::BlobId;
@@ -50,8 +51,8 @@ pub(crate) enum Order {
         /// Bytes beside that.
         room: u64,
     },
-    /// The scene fits: after all that was ordered, everything.
-    Everything,
+    /// The scene fits: after all that was ordered, everything that may be drawn.
+    Everything(Vec<BlobId>),
 }
 
 /// A blob that was read, or could not be.
@@ -120,6 +121,7 @@ impl IoThread {
         source: impl Source + 'static,
         skeleton: Arc<Skeleton>,
         forecaster: Forecaster,
+        far: Option<Arc<dyn FarField>>,
         cap: u64,
     ) -> std::io::Result<Self> {
         let (orders, inbox) = bounded(ORDERS);
@@ -132,6 +134,7 @@ impl IoThread {
             source,
             skeleton,
             forecaster,
+            far,
             orders: inbox,
             arrivals: outbox,
             returned,
@@ -142,7 +145,7 @@ impl IoThread {
             fetched: VecDeque::new(),
             ahead: VecDeque::new(),
             next_forecast: None,
-            rest: 0..0,
+            rest: VecDeque::new(),
             room: 0,
         };
         std::thread::Builder::new().name("io".to_owned()).spawn(move || reader.run())?;
@@ -175,6 +178,7 @@ struct Reader<S> {
     source: S,
     skeleton: Arc<Skeleton>,
     forecaster: Forecaster,
+    far: Option<Arc<dyn FarField>>,
     orders: Receiver<Order>,
     arrivals: Sender<Arrival>,
     returned: Receiver<()>,
@@ -188,7 +192,7 @@ struct Reader<S> {
     ahead: VecDeque<BlobId>,
     next_forecast: Option<(Outlook, Vec<BlobId>, u64)>,
     /// Blobs to be read after all that.
-    rest: std::ops::Range<u32>,
+    rest: VecDeque<BlobId>,
     /// Bytes that the forecast may still take.
     room: u64,
 }
@@ -245,7 +249,7 @@ impl<S: Source> Reader<S> {
             Order::Foresee { outlook, in_use, room } => {
                 self.next_forecast = Some((outlook, in_use, room))
             }
-            Order::Everything => self.rest = 0..self.skeleton.blobs.len() as u32,
+            Order::Everything(blobs) => self.rest = blobs.into(),
         }
     }
 
@@ -263,6 +267,11 @@ impl<S: Source> Reader<S> {
                 self.likely.clear_all();
                 in_use.into_iter().for_each(|blob| _ = self.likely.set(blob));
                 self.room = room;
+                // Cubes of the cells to come; they are drawn whatever is visible.
+                for camera in &outlook.ahead {
+                    let wanted = self.far.as_ref().map(|far| far.wanted(camera.eye));
+                    wanted.into_iter().flatten().for_each(|blob| self.expect(blob));
+                }
                 self.forecaster.begin(outlook);
             }
             while let Some(blob) = self.ahead.pop_front() {
@@ -275,29 +284,31 @@ impl<S: Source> Reader<S> {
             }
             let named = if self.room > 0 { self.forecaster.next_levels() } else { None };
             match named {
-                Some((_, levels)) => levels.into_iter().for_each(|level| self.expect(level)),
-                None => self.ahead.push_back(BlobId(self.rest.next()?)),
+                Some((_, levels)) => {
+                    let skeleton = Arc::clone(&self.skeleton);
+                    let blobs = levels.iter().flat_map(|&level| skeleton.blobs_of(level));
+                    blobs.for_each(|blob| self.expect(blob));
+                }
+                None => self.ahead.push_back(self.rest.pop_front()?),
             }
         }
     }
 
-    /// Marks the blobs of a level as likely to be needed, and has read those that are not there, as
-    /// long as there is room for all that is likely.
-    fn expect(&mut self, level: u32) {
-        for blob in self.skeleton.blobs_of(level) {
-            let length = self.skeleton.blob(blob).bytes;
-            if self.likely.has(blob) {
-                continue;
-            }
-            if length > self.room {
-                // What comes after is needed less.
-                self.room = 0;
-                return;
-            }
-            self.room -= length;
-            self.likely.set(blob);
-            self.ahead.push_back(blob);
+    /// Marks a blob as likely to be needed, and has it read if it is not there, as long as there is room
+    /// for all that is likely.
+    fn expect(&mut self, blob: BlobId) {
+        let length = self.skeleton.blob(blob).bytes;
+        if self.likely.has(blob) {
+            return;
         }
+        if length > self.room {
+            // What comes after is needed less.
+            self.room = 0;
+            return;
+        }
+        self.room -= length;
+        self.likely.set(blob);
+        self.ahead.push_back(blob);
     }
 
     fn hand_over(&mut self, arrival: Arrival) -> Result<(), Gone> {

@@ -51,8 +51,12 @@ fn start(
 ) -> (IoThread, Arc<Mutex<Vec<BlobId>>>) {
     let read = Arc::default();
     let source = Fake { pause, broken: Some(BlobId(7)), read: Arc::clone(&read) };
-    let forecaster = Forecaster::new(Arc::clone(skeleton), SIZE, 0.0);
-    (IoThread::start(source, Arc::clone(skeleton), forecaster, cap).unwrap(), read)
+    let forecaster = Forecaster::new(Arc::clone(skeleton), Arc::default(), SIZE, 0.0);
+    (IoThread::start(source, Arc::clone(skeleton), forecaster, None, cap).unwrap(), read)
+}
+
+fn everything(skeleton: &Skeleton) -> Order {
+    Order::Everything((0..skeleton.blobs.len() as u32).map(BlobId).collect())
 }
 
 fn wait(io: &IoThread) -> Arrival {
@@ -110,7 +114,7 @@ fn with_room_for_one_buffer_all_comes_one_by_one() {
 fn a_fetch_command_goes_before_what_is_read_ahead() {
     let skeleton = skeleton(60, 100);
     let (io, _) = start(&skeleton, 200, Duration::from_millis(1));
-    io.foresee(Order::Everything);
+    io.foresee(everything(&skeleton));
     let first = wait(&io);
     assert!(first.foreseen);
     io.fetch(vec![BlobId(55)]);
@@ -140,7 +144,7 @@ fn no_more_is_read_ahead_than_there_is_room_for() {
 fn orders_are_taken_while_nobody_takes_arrivals_in() {
     let skeleton = skeleton(200, 10);
     let (io, _) = start(&skeleton, 100_000, Duration::ZERO);
-    io.foresee(Order::Everything);
+    io.foresee(everything(&skeleton));
     // Far more than fit the queue, while the arrivals' queue is full: none of these may block.
     for blob in (100..200).rev() {
         io.fetch(vec![BlobId(blob)]);
@@ -154,7 +158,7 @@ fn it_ends_with_its_handle_even_while_it_waits() {
     let skeleton = skeleton(200, 100);
     for cap in [100, 100_000] {
         let (io, read) = start(&skeleton, cap, Duration::ZERO);
-        io.foresee(Order::Everything);
+        io.foresee(everything(&skeleton));
         let held = wait(&io);
         drop(io);
         drop(held);

@@ -8,6 +8,7 @@ pub(crate) mod render_visible_geometry;
 #[cfg(test)]
 mod tests;
 
+use crate::open::Distance;
 use crate::resident::{Drawn, Loader};
 use protocol::camera::Camera;
 use protocol::format::Skeleton;
@@ -15,10 +16,9 @@ use protocol::id::{FrameIndex, HlodId};
 use protocol::settings::{Residency as Promise, RunSettings};
 use protocol::telemetry::{BackendInfo, IoCounts};
 use protocol::visible::VisibleSet;
-use scene::backend::Draws;
-use scene::backend::{Backend, BackendError, Completion, Part, Pass, View};
+use scene::backend::{Backend, BackendError, Completion, Draw, Draws, Part, Pass, View};
 use scene::draw_list::draw_list;
-use scene::front::{Front, FrontEntry, front};
+use scene::front::{Front, FrontEntry, front_of};
 use scene::occludee::Rules;
 use scene::stand_in::{Available, available};
 use scene::store::StoreError;
@@ -65,6 +65,7 @@ pub(crate) struct Stage<'a> {
     skeleton: Arc<Skeleton>,
     backend: Box<dyn Backend>,
     loader: Loader,
+    far: Distance,
     settings: &'a RunSettings,
     rules: Rules,
     /// The last front made. A seat culls a frame right after it made the frame's depth, so one is enough.
@@ -77,9 +78,10 @@ impl<'a> Stage<'a> {
         skeleton: Arc<Skeleton>,
         backend: Box<dyn Backend>,
         loader: Loader,
+        far: Distance,
         settings: &'a RunSettings,
     ) -> Self {
-        Self { skeleton, backend, loader, settings, rules: Rules::default(), front: None }
+        Self { skeleton, backend, loader, far, settings, rules: Rules::default(), front: None }
     }
 
     /// The renderer.
@@ -95,13 +97,14 @@ impl<'a> Stage<'a> {
         }
     }
 
-    /// The front of `camera`.
+    /// The front of `camera`: in a view cell with a far field, of its near field alone.
     fn front(&mut self, camera: &Camera) -> Arc<Front> {
         match &self.front {
             Some((of, front)) if of == camera => Arc::clone(front),
             _ => {
                 let RunSettings { size, lod_px, .. } = *self.settings;
-                let made = Arc::new(front(&self.skeleton, camera, size, lod_px));
+                let field = self.far.cells.field_at(camera.eye);
+                let made = Arc::new(front_of(&self.skeleton, camera, size, lod_px, field));
                 self.front = Some((*camera, Arc::clone(&made)));
                 made
             }
@@ -114,10 +117,16 @@ impl<'a> Stage<'a> {
 
     /// What `promise` lets be drawn of `entries` now.
     fn available(&self, entries: &[FrontEntry], promise: Promise) -> Available {
-        available(&self.skeleton, entries, |level| self.loader.offers(level, promise))
+        available(&self.skeleton, entries, |level| self.loader.offers_level(level, promise))
     }
 
-    /// Draws `entries`, or what stands in for them, and waits for what comes of it. `pass` makes a pass
+    /// What is drawn of the far field, behind all else in the list.
+    fn far_draws(&self, camera: &Camera) -> Vec<Draw> {
+        let field = self.far.field.as_ref();
+        field.map_or_else(Vec::new, |field| field.draws(camera, self.settings.size))
+    }
+
+    /// Draws `entries` and the far field, or what stands in for them, and waits for what comes of it. `pass` makes a pass
     /// of a part of the list.
     fn draw(
         &mut self,
@@ -127,11 +136,19 @@ impl<'a> Stage<'a> {
         pass: impl Fn(View, Draws, Part) -> Pass,
     ) -> Result<(Completion, Available, Draws), RoleError> {
         if promise == Promise::Deadline {
-            self.loader.order_missing(entries);
+            let blobs = entries.iter().flat_map(|entry| self.skeleton.blobs_of(entry.level));
+            let far = self.far_draws(camera).into_iter().map(|draw| draw.blob);
+            self.loader.order_missing(blobs.chain(far).collect::<Vec<_>>());
         }
         loop {
-            let shown = self.available(entries, promise);
-            let draws = draw_list(&self.skeleton, &shown.entries, camera.eye);
+            let mut shown = self.available(entries, promise);
+            let mut draws = draw_list(&self.skeleton, &shown.entries, camera.eye);
+            let mut far = self.far_draws(camera);
+            let wanted = far.len();
+            far.retain(|draw| self.loader.offers(draw.blob, promise));
+            // Nothing stands in for a cube.
+            shown.holes += (wanted - far.len()) as u32;
+            draws.solid.extend(far);
             if let Some(completion) = self.draw_list(camera, &draws, &pass)? {
                 return Ok((completion, shown, draws));
             }
@@ -162,6 +179,12 @@ impl<'a> Stage<'a> {
     fn triangles(&self, entries: &[FrontEntry]) -> u64 {
         let levels = &self.skeleton.levels;
         entries.iter().map(|entry| u64::from(levels[entry.level as usize].triangles)).sum()
+    }
+
+    /// Triangles of cubes in a list.
+    fn far_triangles(&self, draws: &Draws) -> u64 {
+        let blobs = draws.solid.iter().map(|draw| self.skeleton.blob(draw.blob));
+        blobs.filter(|blob| blob.is_projected()).map(|blob| u64::from(blob.triangles)).sum()
     }
 
     /// Begins the work of a phase that draws.

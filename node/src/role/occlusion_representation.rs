@@ -28,11 +28,13 @@ pub(crate) fn run(
     let wanted = map_onto_front(&stage.skeleton, previous, &front);
     let promise = stage.settings.residency;
     if promise == Promise::Deadline {
-        stage.loader.order_missing(&wanted);
+        let skeleton = &stage.skeleton;
+        let blobs = wanted.iter().flat_map(|entry| skeleton.blobs_of(entry.level));
+        stage.loader.order_missing(blobs.collect::<Vec<_>>());
     }
     // What is not there is left out: less is culled, and never too much.
     loop {
-        let offered = |entry: &&FrontEntry| stage.loader.offers(entry.level, promise);
+        let offered = |entry: &&FrontEntry| stage.loader.offers_level(entry.level, promise);
         let entries: Vec<FrontEntry> = wanted.iter().filter(offered).copied().collect();
         let draws = draw_list(&stage.skeleton, &entries, camera.eye);
         let pass = |view, draws: Draws, part| Pass::Occluders { view, draws: draws.solid, part };

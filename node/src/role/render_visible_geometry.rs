@@ -37,10 +37,12 @@ pub(crate) fn run(
     let Completion::Picture { picture, .. } = completion else {
         unreachable!("a picture answers as such")
     };
+    let far_triangles = stage.far_triangles(&draws);
     let replaced = shown.replaced.len() as u32;
     let counts = DrawCounts {
         hlods: shown.entries.len() as u32,
-        triangles: stage.triangles(&shown.entries),
+        triangles: stage.triangles(&shown.entries) + far_triangles,
+        far_triangles,
         missing: Missing { replaced, holes: shown.holes, error_px: 0.0 },
         ..DrawCounts::default()
     };

@@ -28,6 +28,9 @@ fn settings(path: &Path, cull: Cull) -> RunSettings {
         memory: None,
         residency: Residency::Exact,
         prefetch: true,
+        far: protocol::settings::Far::Off,
+        far_cubes: 8,
+        far_triangles: None,
         pictures_dir: None,
     }
 }

@@ -3,15 +3,18 @@
 //! What passes can be walked without bounds in mind: indices lie in range, the tree is a tree of
 //! limited depth, and errors grow towards the root.
 
+mod far_field;
 mod rule;
 
 use super::class::Class;
-use super::mesh::mesh_bytes;
+use super::mesh::blob_bytes;
+use super::projected;
 use super::texture::{self, Texture, Wrap};
 use super::vertex::{Layout, MAX_BLOB_VERTICES};
 use super::{ALIGNMENT, Blob, Criteria, Hlod, NONE, Part, Skeleton};
 use crate::id::{BlobId, HlodId};
 
+pub use far_field::check_disjoint;
 pub use rule::{Place, Rule, Violation};
 
 /// Most hlods on a path from the root to a leaf, both counted: a fixed stack suffices to walk a tree.
@@ -30,7 +33,8 @@ pub fn check(skeleton: &Skeleton) -> Result<(), Violation> {
     }
     check_parts(skeleton)?;
     check_levels(skeleton)?;
-    check_errors(skeleton)
+    check_errors(skeleton)?;
+    far_field::check_far_fields(skeleton)
 }
 
 /// An error unless `kept`.
@@ -127,7 +131,7 @@ fn check_hlods(skeleton: &Skeleton) -> Result<(), Violation> {
     Ok(())
 }
 
-/// Blobs one after another, each a mesh whose triangles all have a class.
+/// Blobs one after another, each a mesh or face whose triangles all have a class.
 pub(super) fn check_blobs(blobs: &[Blob]) -> Result<(), Violation> {
     let mut expected = 0u64;
     for (i, blob) in blobs.iter().enumerate() {
@@ -136,11 +140,17 @@ pub(super) fn check_blobs(blobs: &[Blob]) -> Result<(), Violation> {
         let Some(of_vertex) = Layout::of(layout) else {
             return Err(Violation { place, rule: Rule::Layout { layout } });
         };
+        let [side, tiles] = blob.image;
+        let possible = match of_vertex {
+            Layout::Projected => projected::is_side(side) && tiles <= projected::most_tiles(side),
+            Layout::Plain | Layout::Textured => blob.image == [0; 2],
+        };
+        hold(place, possible, Rule::Picture { side, tiles })?;
         let (vertices, triangles, bytes) = (blob.vertices, blob.triangles, blob.bytes);
         let is_mesh = vertices > 0
             && triangles > 0
             && vertices as usize <= MAX_BLOB_VERTICES
-            && bytes == mesh_bytes(of_vertex, vertices, triangles);
+            && bytes == blob_bytes(blob);
         hold(place, is_mesh, Rule::MeshSize { vertices, triangles, bytes })?;
         let sum = blob.classes.iter().map(|&n| u64::from(n)).sum();
         hold(place, sum == u64::from(triangles), Rule::Classes { sum, triangles })?;
@@ -149,7 +159,11 @@ pub(super) fn check_blobs(blobs: &[Blob]) -> Result<(), Violation> {
         expected = after(place, blob.offset, bytes, expected)?;
         hold(place, is_power_of_two(blob.step), Rule::Step { step: blob.step })?;
         hold(place, blob.origin.iter().all(|c| c.is_finite()), Rule::NotFinite)?;
-        hold(place, blob.reserved == [0; 2], Rule::Reserved)?;
+        if blob.is_projected() {
+            let all = Class::OpaqueDouble.all(triangles);
+            hold(place, blob.classes == all, Rule::FaceClass)?;
+            hold(place, blob.origin == [0.0; 3], Rule::FaceOrigin)?;
+        }
     }
     Ok(())
 }
@@ -184,12 +198,15 @@ pub(super) fn is_power_of_two(x: f64) -> bool {
     x.is_normal() && x > 0.0 && fraction == 0
 }
 
-/// Every part names what exists.
+/// Every part names a mesh and a placement that exist.
 fn check_parts(skeleton: &Skeleton) -> Result<(), Violation> {
     for (i, part) in skeleton.parts.iter().enumerate() {
         let place = Place::Part(i as u32);
         let (blob, transform) = (part.blob, part.transform);
-        hold(place, (blob as usize) < skeleton.blobs.len(), Rule::NoBlob { blob })?;
+        let Some(mesh) = skeleton.blobs.get(blob as usize) else {
+            return Err(Violation { place, rule: Rule::NoBlob { blob } });
+        };
+        hold(place, !mesh.is_projected(), Rule::FaceAsPart { blob })?;
         let placed = transform == NONE || (transform as usize) < skeleton.transforms.len();
         hold(place, placed, Rule::NoTransform { transform })?;
     }

@@ -1,6 +1,9 @@
 //! A small scene for the tests of this module: a root with a stand-in over two leaves, one of them
-//! an instance with two levels, the other of two parts.
+//! an instance with two levels, the other of two parts; a view cell with an intra and a delta cube, and
+//! one without a far field.
 
+use super::projected::{NewFace, TILE_BYTES};
+use super::vertex::POSITION_MAX;
 use super::*;
 use bytemuck::Zeroable;
 use std::path::Path;
@@ -80,7 +83,7 @@ pub(super) fn grid(points: &[[u32; 3]]) -> Vec<Vertex> {
     points.iter().map(vertex).collect()
 }
 
-/// Streams the fixture's four blobs; one is textured.
+/// Streams the fixture's four meshes, one of them textured, and its three faces.
 pub(super) fn add_blobs(writer: &mut SceneWriter) {
     let corner = grid(&[[0, 0, 0], [4, 0, 0], [0, 4, 0], [0, 0, 4]]);
     let mut add = |step, vertices, indices: &[u16], classes| {
@@ -92,6 +95,74 @@ pub(super) fn add_blobs(writer: &mut SceneWriter) {
     let wide = grid(&[[0, 0, 0], [5, 0, 0], [0, 1, 1]]);
     add(1.0, Vertices::Plain(&wide), &[2, 1, 0], opaque(1));
     add(0.25, Vertices::Textured(&leaf()), &[0, 1, 2], Class::MaskDouble.all(1));
+    let places = [[0, 0, 9], [512, 0, 9], [0, 512, POSITION_MAX], [512, 512, 0]];
+    let large = NewFace { side: 32, table: &[0, 2, 1, 0], ..face() };
+    let vertices = places.map(Vertex::pack_position);
+    let tiles = [[0x11; TILE_BYTES], [0x22; TILE_BYTES]];
+    writer.add_face(&NewFace { vertices: &vertices, tiles: &tiles, ..large }).unwrap();
+    writer.add_face(&NewFace { indices: &[0, 1, 2, 0, 2, 1], ..face() }).unwrap();
+    writer.add_face(&face()).unwrap();
+}
+
+/// A triangle over a picture of one tile.
+pub(super) fn face() -> NewFace<'static> {
+    // Places (0, 0), (256, 0) and (0, 256) of disparities 1, 2 and 3.
+    const VERTICES: [[u32; 2]; 3] = [[0, 1 << 10], [256, 2 << 10], [256 << 21, 3 << 10]];
+    NewFace {
+        step: 0.125,
+        side: 16,
+        vertices: &VERTICES,
+        indices: &[0, 1, 2],
+        table: &[1],
+        tiles: &[[0x33; TILE_BYTES]],
+    }
+}
+
+/// View cells of the fixture.
+pub(super) fn view_cells() -> Vec<ViewCell> {
+    let cell = ViewCell {
+        min: [0.0; 3],
+        max: [1.0; 3],
+        first_cube: 0,
+        cube_count: 2,
+        method: Method::Itdm as u32,
+        reserved: 0,
+        objective: 0.2,
+    };
+    let bare = ViewCell {
+        min: [1.0, 0.0, 0.0],
+        max: [2.0, 1.0, 1.0],
+        first_cube: 2,
+        cube_count: 0,
+        method: Method::None as u32,
+        ..cell
+    };
+    vec![cell, bare]
+}
+
+/// Scan cubes of the fixture.
+pub(super) fn cubes() -> Vec<Cube> {
+    let intra = Cube {
+        eye: [0.5; 3],
+        faces: [4, NONE, NONE, NONE, 5, NONE],
+        parent: NONE,
+        triangles: 1 + 2,
+    };
+    let faces = [NONE, 6, NONE, NONE, NONE, NONE];
+    vec![intra, Cube { eye: [0.0, 0.5, 1.0], faces, parent: 0, triangles: 1 }]
+}
+
+/// All that the writer is given in the end.
+pub(super) fn tables() -> Tables {
+    Tables {
+        info: info(),
+        hlods: hlods(),
+        levels: levels(),
+        parts: parts(),
+        transforms: transforms(),
+        view_cells: view_cells(),
+        cubes: cubes(),
+    }
 }
 
 /// The vertices of the textured blob.
@@ -116,7 +187,7 @@ pub(super) fn write(path: &Path) -> Finished {
     let mut writer = SceneWriter::create(path).unwrap();
     add_blobs(&mut writer);
     add_texture(&mut writer);
-    writer.finish(info(), hlods(), levels(), parts(), transforms()).unwrap()
+    writer.finish(tables()).unwrap()
 }
 
 /// The bytes of the fixture.

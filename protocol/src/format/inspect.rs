@@ -4,7 +4,7 @@ mod comparison;
 
 pub use comparison::{Comparison, Pair};
 
-use super::{Class, Hlod, NONE, Skeleton};
+use super::{Blob, Class, Hlod, Method, NONE, Skeleton};
 use serde::Serialize;
 
 /// Counts and qualities of a skeleton.
@@ -18,7 +18,7 @@ pub struct Inspection {
     pub levels: u64,
     /// Placed meshes of all levels.
     pub parts: u64,
-    /// Meshes.
+    /// Meshes and faces of scan cubes.
     pub blobs: u64,
     /// Parts of the finest levels of leaves that are placed by a transform.
     pub instances: u64,
@@ -55,6 +55,8 @@ pub struct Inspection {
     pub overlap_mean: f64,
     /// The greatest such ratio.
     pub overlap_max: f64,
+    /// View cells and scan cubes.
+    pub far_fields: FarFields,
     /// How good the tree is, measured by the bake.
     pub criteria: Option<Comparison>,
 }
@@ -70,6 +72,23 @@ pub struct Classes {
     pub blend: u64,
     /// Of all of these, those seen from both sides.
     pub double_sided: u64,
+}
+
+/// View cells by what stands for what lies outside them, and their scan cubes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
+pub struct FarFields {
+    /// Cells whose far field is cheaper as geometry.
+    pub none: u64,
+    /// Cells with textured depth meshes.
+    pub tdm: u64,
+    /// Cells with incremental ones.
+    pub itdm: u64,
+    /// Scan cubes of all cells.
+    pub cubes: u64,
+    /// Of those, cubes that depend on another.
+    pub delta_cubes: u64,
+    /// Triangles of all their faces.
+    pub triangles: u64,
 }
 
 /// The hlods at one depth.
@@ -100,10 +119,16 @@ pub struct BytesByKind {
     pub transforms: u64,
     /// Texture records.
     pub textures: u64,
+    /// View cell records.
+    pub view_cells: u64,
+    /// Scan cube records.
+    pub cubes: u64,
     /// Vertices of all meshes.
     pub vertices: u64,
     /// Indices of all meshes.
     pub indices: u64,
+    /// Faces of scan cubes: vertices, indices and pictures.
+    pub faces: u64,
     /// Textures with their mips.
     pub pixels: u64,
 }
@@ -128,7 +153,7 @@ pub fn summary(skeleton: &Skeleton) -> Inspection {
     let placed =
         finest_of_leaves.flat_map(|l| skeleton.parts_of(l)).filter(|p| p.transform != NONE);
     let triangles = |all: bool| -> u64 {
-        let blobs = skeleton.blobs.iter().filter(|b| all || b.is_textured());
+        let blobs = meshes(skeleton).filter(|b| all || b.is_textured());
         blobs.map(|b| u64::from(b.triangles)).sum()
     };
     let errors = skeleton.levels.iter().map(|l| l.error);
@@ -156,7 +181,28 @@ pub fn summary(skeleton: &Skeleton) -> Inspection {
         branching: branching(hlods),
         overlap_mean: overlaps.iter().sum::<f64>() / overlaps.len().max(1) as f64,
         overlap_max: overlaps.iter().copied().fold(0.0, f64::max),
+        far_fields: far_fields(skeleton),
         criteria: Comparison::of(&skeleton.info),
+    }
+}
+
+/// Blobs that are no faces.
+fn meshes(skeleton: &Skeleton) -> impl Iterator<Item = &Blob> {
+    skeleton.blobs.iter().filter(|blob| !blob.is_projected())
+}
+
+fn far_fields(skeleton: &Skeleton) -> FarFields {
+    let cells = |method| {
+        let of_method = skeleton.view_cells.iter().filter(|c| Method::of(c.method) == Some(method));
+        of_method.count() as u64
+    };
+    FarFields {
+        none: cells(Method::None),
+        tdm: cells(Method::Tdm),
+        itdm: cells(Method::Itdm),
+        cubes: skeleton.cubes.len() as u64,
+        delta_cubes: skeleton.cubes.iter().filter(|c| c.parent != NONE).count() as u64,
+        triangles: skeleton.cubes.iter().map(|c| u64::from(c.triangles)).sum(),
     }
 }
 
@@ -182,7 +228,7 @@ fn tree_levels(skeleton: &Skeleton) -> Vec<TreeLevel> {
 
 fn classes(skeleton: &Skeleton) -> Classes {
     let count = |of: fn(Class) -> bool| -> u64 {
-        let all = skeleton.blobs.iter().flat_map(|b| Class::ALL.into_iter().zip(b.classes));
+        let all = meshes(skeleton).flat_map(|b| Class::ALL.into_iter().zip(b.classes));
         all.filter(|(class, _)| of(*class)).map(|(_, n)| u64::from(n)).sum()
     };
     Classes {
@@ -194,8 +240,9 @@ fn classes(skeleton: &Skeleton) -> Classes {
 }
 
 fn bytes_by_kind(skeleton: &Skeleton) -> BytesByKind {
-    let vertices = skeleton.blobs.iter().map(|b| b.vertex_bytes() as u64).sum();
-    let meshes: u64 = skeleton.blobs.iter().map(|b| b.bytes).sum();
+    let vertices = meshes(skeleton).map(|b| b.vertex_bytes() as u64).sum();
+    let of_meshes: u64 = meshes(skeleton).map(|b| b.bytes).sum();
+    let of_blobs: u64 = skeleton.blobs.iter().map(|b| b.bytes).sum();
     BytesByKind {
         hlods: size_of_val(&skeleton.hlods[..]) as u64,
         levels: size_of_val(&skeleton.levels[..]) as u64,
@@ -203,8 +250,11 @@ fn bytes_by_kind(skeleton: &Skeleton) -> BytesByKind {
         blobs: size_of_val(&skeleton.blobs[..]) as u64,
         transforms: size_of_val(&skeleton.transforms[..]) as u64,
         textures: size_of_val(&skeleton.textures[..]) as u64,
+        view_cells: size_of_val(&skeleton.view_cells[..]) as u64,
+        cubes: size_of_val(&skeleton.cubes[..]) as u64,
         vertices,
-        indices: meshes - vertices,
+        indices: of_meshes - vertices,
+        faces: of_blobs - of_meshes,
         pixels: skeleton.textures.iter().map(|t| t.bytes).sum(),
     }
 }
@@ -282,6 +332,12 @@ impl std::fmt::Display for Inspection {
             c.double_sided,
             100.0 * self.textured_share
         )?;
+        let far = &self.far_fields;
+        writeln!(
+            f,
+            "view cells    itdm {}, tdm {}, geometry alone {}; {} scan cubes, {} of them deltas, {} triangles",
+            far.itdm, far.tdm, far.none, far.cubes, far.delta_cubes, far.triangles
+        )?;
         writeln!(f, "errors        {} to {} scene units", self.error_min, self.error_max)?;
         writeln!(
             f,
@@ -296,15 +352,18 @@ impl std::fmt::Display for Inspection {
         writeln!(
             f,
             "bytes         hlods {}, levels {}, parts {}, blobs {}, transforms {}, textures {}, \
-             vertices {}, indices {}, pixels {}",
+             view cells {}, cubes {}, vertices {}, indices {}, faces {}, pixels {}",
             b.hlods,
             b.levels,
             b.parts,
             b.blobs,
             b.transforms,
             b.textures,
+            b.view_cells,
+            b.cubes,
             b.vertices,
             b.indices,
+            b.faces,
             b.pixels
         )?;
         if let Some(criteria) = &self.criteria {
@@ -330,7 +389,7 @@ mod tests {
     #[test]
     fn counts_of_the_fixture() {
         let s = summary(&fixture::skeleton());
-        assert_eq!((s.hlods, s.leaves, s.levels, s.blobs), (3, 2, 4, 4));
+        assert_eq!((s.hlods, s.leaves, s.levels, s.blobs), (3, 2, 4, 7));
         assert_eq!((s.instances, s.transforms, s.objects, s.depth), (1, 1, 2, 2));
         assert_eq!((s.parts, s.textures), (5, 1));
         assert_eq!(s.classes, Classes { opaque: 3, mask: 1, blend: 1, double_sided: 4 });
@@ -345,6 +404,22 @@ mod tests {
         assert_eq!((s.bytes.vertices, s.bytes.indices), (160 + 3 * 32, 8 + 12 + 8 + 8));
         assert_eq!((s.bytes.parts, s.bytes.textures, s.bytes.pixels), (5 * 8, 32, 4 * (4 + 1)));
         assert_eq!((s.overlap_mean, s.overlap_max), (0.0, 0.0));
+    }
+
+    #[test]
+    fn faces_are_no_meshes() {
+        let skeleton = fixture::skeleton();
+        let s = summary(&skeleton);
+        let far =
+            FarFields { none: 1, tdm: 0, itdm: 1, cubes: 2, delta_cubes: 1, triangles: 1 + 2 + 1 };
+        assert_eq!(s.far_fields, far);
+        assert_eq!((s.bytes.view_cells, s.bytes.cubes), (2 * 72, 2 * 56));
+        let large = 4 * 8 + 8 + 4 * 4 + 2 * 128;
+        assert_eq!(s.bytes.faces, large + (24 + 12 + 4 + 128) + (24 + 8 + 4 + 128));
+        let text = s.to_string();
+        let line =
+            "view cells    itdm 1, tdm 0, geometry alone 1; 2 scan cubes, 1 of them deltas, 4";
+        assert!(text.contains(line), "{text}");
     }
 
     #[test]
@@ -375,6 +450,6 @@ mod tests {
     fn the_text_names_every_depth() {
         let text = summary(&fixture::skeleton()).to_string();
         assert!(text.contains("hlods         3, leaves 2, depth 2"), "{text}");
-        assert_eq!(text.lines().count(), 10 + 1 + 2);
+        assert_eq!(text.lines().count(), 11 + 1 + 2);
     }
 }

@@ -1,16 +1,16 @@
 //! Header and section table as they lie in the file.
 //!
-//! The layout is canonical: the lengths of the nine sections determine every offset, so a reader
+//! The layout is canonical: the lengths of the eleven sections determine every offset, so a reader
 //! compares the table with the one it would have written and has nothing left to distrust.
 
-use super::{Blob, Digest, Hlod, Level, Part, SceneInfo, Texture, Transform};
+use super::{Blob, Cube, Digest, Hlod, Level, Part, SceneInfo, Texture, Transform, ViewCell};
 use bytemuck::{Pod, Zeroable};
 
 // Records are cast in place, so the machine must agree with the file.
 const _: () = assert!(cfg!(target_endian = "little"), "scene files are little-endian");
 
 /// Version of the layout; a file of another version is refused.
-pub const FORMAT_VERSION: u32 = 2;
+pub const FORMAT_VERSION: u32 = 3;
 /// Every section and every blob starts at a multiple of this many bytes.
 pub const ALIGNMENT: u64 = 64;
 
@@ -43,11 +43,15 @@ pub enum Section {
     Transforms,
     /// [`Texture`]s.
     Textures,
+    /// [`ViewCell`]s.
+    ViewCells,
+    /// [`Cube`]s.
+    Cubes,
 }
 
 impl Section {
     /// All sections in file order.
-    pub const ALL: [Self; 9] = [
+    pub const ALL: [Self; 11] = [
         Self::Geometry,
         Self::Pixels,
         Self::Info,
@@ -57,6 +61,8 @@ impl Section {
         Self::Blobs,
         Self::Transforms,
         Self::Textures,
+        Self::ViewCells,
+        Self::Cubes,
     ];
 
     /// It holds data that is checked piece by piece when it is first used, not a table.
@@ -75,6 +81,8 @@ impl Section {
             Self::Blobs => size_of::<Blob>(),
             Self::Transforms => size_of::<Transform>(),
             Self::Textures => size_of::<Texture>(),
+            Self::ViewCells => size_of::<ViewCell>(),
+            Self::Cubes => size_of::<Cube>(),
         };
         bytes as u64
     }
@@ -92,6 +100,8 @@ impl std::fmt::Display for Section {
             Self::Blobs => "blobs",
             Self::Transforms => "transforms",
             Self::Textures => "textures",
+            Self::ViewCells => "view cells",
+            Self::Cubes => "cubes",
         })
     }
 }
@@ -114,7 +124,7 @@ pub(super) struct SectionEntry {
     pub(super) reserved: u32,
 }
 
-/// The first 384 bytes of the file.
+/// The first 448 bytes of the file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Pod, Zeroable)]
 #[repr(C)]
 pub(super) struct Header {
@@ -188,23 +198,24 @@ mod tests {
     use super::*;
 
     #[test]
-    fn header_is_384_bytes_and_records_have_their_documented_size() {
-        assert_eq!(HEADER_BYTES, 384);
+    fn header_is_448_bytes_and_records_have_their_documented_size() {
+        assert_eq!(HEADER_BYTES, 448);
         let bytes = Section::ALL.map(Section::record_bytes);
-        assert_eq!(bytes, [64, 64, 224, 80, 24, 8, 96, 96, 32]);
+        assert_eq!(bytes, [64, 64, 224, 80, 24, 8, 96, 96, 32, 72, 56]);
     }
 
     #[test]
     fn offsets_follow_from_lengths() {
-        let header = Header::new([0, 64, 224, 80, 24, 8, 0, 0, 32], [0; 9]).unwrap();
-        let offsets = [384, 384, 448, 704, 832, 896, 960, 960, 960];
+        let header = Header::new([0, 64, 224, 80, 24, 8, 0, 0, 32, 72, 56], [0; 11]).unwrap();
+        let offsets = [448, 448, 512, 768, 896, 960, 1024, 1024, 1024, 1088, 1216];
         assert_eq!(header.sections.map(|s| s.offset), offsets);
-        assert_eq!((header.skeleton_offset(), header.file_bytes), (448, 1024));
+        assert_eq!((header.skeleton_offset(), header.file_bytes), (512, 1280));
     }
 
     #[test]
     fn lengths_that_overflow_have_no_header() {
-        assert_eq!(Header::new([u64::MAX, 0, 0, 0, 0, 0, 0, 0, 0], [0; 9]), None);
-        assert_eq!(Header::new([1 << 63, 0, 64, 1 << 63, 0, 0, 0, 0, 0], [0; 9]), None);
+        assert_eq!(Header::new([u64::MAX, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0], [0; 11]), None);
+        let twice = [1 << 63, 0, 64, 1 << 63, 0, 0, 0, 0, 0, 0, 0];
+        assert_eq!(Header::new(twice, [0; 11]), None);
     }
 }

@@ -1,7 +1,8 @@
-//! The inside of a blob: vertices, then 16-bit indices, then zeros up to 4 bytes.
+//! The inside of a blob: vertices, then 16-bit indices, then zeros up to 4 bytes. What follows in a
+//! face of a scan cube is [`super::projected`]'s.
 
 use super::vertex::{Layout, MAX_BLOB_VERTICES, POSITION_BITS};
-use super::{Blob, NONE, TexturedVertex, Vertex, Vertices};
+use super::{Blob, NONE, TexturedVertex, Vertex, Vertices, projected};
 
 /// Why a blob's bytes cannot be drawn.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
@@ -37,13 +38,40 @@ pub enum BlobDamage {
         /// The vertex.
         vertex: u32,
     },
+    /// A vertex of a face lies outside its picture.
+    #[error("vertex {vertex} lies outside its picture")]
+    OutsidePicture {
+        /// The vertex.
+        vertex: u32,
+    },
+    /// A face's table names no stored tile, or one that it has named before.
+    #[error("entry {entry} of its tile table is {tile}, which is no tile that is left")]
+    Tile {
+        /// Position in the table.
+        entry: u32,
+        /// What it says.
+        tile: u32,
+    },
+    /// A stored tile is named nowhere.
+    #[error("only {named} of its tiles are named in its tile table")]
+    StrayTile {
+        /// Entries that name one.
+        named: u32,
+    },
     /// Bit 63 of a position or the padding is not zero.
     #[error("bits that must be zero are not")]
     Padding,
 }
 
-/// Bytes of a blob with so many vertices and triangles.
-pub fn mesh_bytes(layout: Layout, vertices: u32, triangles: u32) -> u64 {
+/// Bytes that a blob's counts call for.
+pub fn blob_bytes(blob: &Blob) -> u64 {
+    let of_mesh = mesh_bytes(blob.vertex_layout(), blob.vertices, blob.triangles);
+    let [side, tiles] = blob.image;
+    of_mesh + if blob.is_projected() { projected::image_bytes(side, tiles) } else { 0 }
+}
+
+/// Bytes of so many vertices and triangles.
+pub(super) fn mesh_bytes(layout: Layout, vertices: u32, triangles: u32) -> u64 {
     let of_vertices = u64::from(vertices) * layout.vertex_bytes() as u64;
     let unpadded = of_vertices + u64::from(triangles) * 6;
     unpadded.next_multiple_of(4)
@@ -52,27 +80,39 @@ pub fn mesh_bytes(layout: Layout, vertices: u32, triangles: u32) -> u64 {
 /// Lays a mesh out as a blob.
 ///
 /// # Panics
+/// As [`lay_out`].
+pub(super) fn encode(vertices: Vertices<'_>, indices: &[u16]) -> Vec<u8> {
+    lay_out(vertices.layout(), vertices.bytes(), indices)
+}
+
+/// Vertices as they lie in a file, indices and the zeros behind them.
+///
+/// # Panics
 /// If there is no triangle, `indices` is not a list of triangles, an index names no vertex, or there
 /// are more than [`MAX_BLOB_VERTICES`] vertices.
-pub(super) fn encode(vertices: Vertices<'_>, indices: &[u16]) -> Vec<u8> {
+pub(super) fn lay_out(layout: Layout, vertices: &[u8], indices: &[u16]) -> Vec<u8> {
     assert!(
         !indices.is_empty() && indices.len().is_multiple_of(3),
         "a mesh is a list of triangles"
     );
-    let count = vertices.count();
+    let count = vertices.len() / layout.vertex_bytes();
     assert!(count <= MAX_BLOB_VERTICES, "{count} vertices");
     assert!(indices.iter().all(|&i| usize::from(i) < count), "an index names no vertex");
     let triangles = u32::try_from(indices.len() / 3).expect("fewer than 2^32 triangles");
-    let total = mesh_bytes(vertices.layout(), count as u32, triangles) as usize;
+    let total = mesh_bytes(layout, count as u32, triangles) as usize;
     let mut bytes = Vec::with_capacity(total);
-    bytes.extend_from_slice(vertices.bytes());
+    bytes.extend_from_slice(vertices);
     bytes.extend_from_slice(bytemuck::cast_slice(indices));
     bytes.resize(total, 0);
     bytes
 }
 
-/// The vertices of a blob whose bytes have been checked, without what textures need.
+/// The vertices of a mesh whose bytes have been checked, without what textures need.
+///
+/// # Panics
+/// If the blob is a face of a scan cube, which no part names ([`super::check()`]).
 pub fn vertices_of<'a>(blob: &Blob, bytes: &'a [u8]) -> impl Iterator<Item = Vertex> + use<'a> {
+    assert!(!blob.is_projected(), "a face has vertices of another kind");
     let of_vertices = &bytes[..blob.vertex_bytes()];
     let plain = |chunk: &[u8]| bytemuck::pod_read_unaligned(&chunk[..size_of::<Vertex>()]);
     of_vertices.chunks_exact(blob.vertex_layout().vertex_bytes()).map(plain)
@@ -87,29 +127,35 @@ pub fn textured_vertices_of<'a>(
     of_vertices.chunks_exact(size_of::<TexturedVertex>()).map(bytemuck::pod_read_unaligned)
 }
 
-/// Checks a blob's bytes before anybody draws them: length, checksum, indices, zero bits, and that
-/// what it names of `textures` textures exists.
+/// Checks a blob's bytes before anybody draws them: length, checksum, indices, zero bits, that what it
+/// names of `textures` textures exists, and of a face places in its picture and tiles.
 ///
 /// What passes cannot make a rasteriser read out of bounds. The blob's own record is known to be
 /// good ([`super::check()`]).
 pub fn check_blob(blob: &Blob, bytes: &[u8], textures: u32) -> Result<(), BlobDamage> {
-    let expected = mesh_bytes(blob.vertex_layout(), blob.vertices, blob.triangles);
+    let expected = blob_bytes(blob);
     if bytes.len() as u64 != expected || blob.bytes != expected {
         return Err(BlobDamage::Length { found: bytes.len() as u64, expected });
     }
     if crc32c::crc32c(bytes) != blob.crc {
         return Err(BlobDamage::Checksum);
     }
-    let (_, rest) = bytes.split_at(blob.vertex_bytes());
+    let of_mesh = mesh_bytes(blob.vertex_layout(), blob.vertices, blob.triangles) as usize;
+    let (vertices, rest) = bytes[..of_mesh].split_at(blob.vertex_bytes());
     let (indices, padding) = rest.split_at(blob.triangles as usize * 6);
     let outside = |pair: &[u8]| u32::from(u16::from_le_bytes([pair[0], pair[1]])) >= blob.vertices;
     if let Some(index) = indices.chunks_exact(2).position(outside) {
         return Err(BlobDamage::Index { index: index as u32 });
     }
     let spare_bits = u64::MAX << (3 * POSITION_BITS);
-    let spare_used = |v: Vertex| u64::from(v.position[1]) << 32 & spare_bits != 0;
-    if padding.iter().any(|&b| b != 0) || vertices_of(blob, bytes).any(spare_used) {
+    let (positions, _) = vertices.as_chunks::<8>();
+    let each = blob.vertex_layout().vertex_bytes() / 8;
+    let spare_used = |&position: &[u8; 8]| u64::from_le_bytes(position) & spare_bits != 0;
+    if padding.iter().any(|&b| b != 0) || positions.iter().step_by(each).any(spare_used) {
         return Err(BlobDamage::Padding);
+    }
+    if blob.is_projected() {
+        return projected::check(&projected::Face::of(blob, bytes));
     }
     for (at, vertex) in (0..).zip(textured_vertices_of(blob, bytes)) {
         let TexturedVertex { tex_coord: [u, v], texture, cutoff, .. } = vertex;

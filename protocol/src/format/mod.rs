@@ -6,11 +6,13 @@
 
 pub mod check;
 pub mod class;
+mod far_field;
 #[cfg(test)]
 mod fixture;
 pub mod inspect;
 mod layout;
 pub mod mesh;
+pub mod projected;
 pub mod read;
 pub mod skeleton;
 pub mod texture;
@@ -19,6 +21,7 @@ pub mod write;
 
 pub use check::{Violation, check};
 pub use class::Class;
+pub use far_field::{Cube, Method, ViewCell};
 pub use inspect::{Inspection, summary};
 pub use layout::{ALIGNMENT, FORMAT_VERSION, Section};
 pub use read::{FormatError, ReadError, SceneFile, digest, parse, read_blob};
@@ -26,7 +29,7 @@ pub use read::{read_skeleton, read_skeleton_of};
 pub use skeleton::{Blob, Criteria, Hlod, Level, Part, SceneInfo, Skeleton, Transform};
 pub use texture::{Texture, Wrap};
 pub use vertex::{TexturedVertex, Vertex, Vertices};
-pub use write::{Finished, SceneWriter, WriteError, WriterState};
+pub use write::{Finished, SceneWriter, Tables, WriteError, WriterState};
 
 /// BLAKE3 of the whole file's content, see FORMAT.md.
 pub type Digest = [u8; 32];

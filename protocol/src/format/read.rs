@@ -302,6 +302,8 @@ fn parse_skeleton(header: &Header, bytes: &[u8]) -> Result<SceneFile, FormatErro
         blobs: section_records(header, bytes, Section::Blobs)?,
         transforms: section_records(header, bytes, Section::Transforms)?,
         textures: section_records(header, bytes, Section::Textures)?,
+        view_cells: section_records(header, bytes, Section::ViewCells)?,
+        cubes: section_records(header, bytes, Section::Cubes)?,
     };
     super::check(&skeleton)?;
     let of_blobs = skeleton.blobs.last().map_or(0, |b| b.offset + b.bytes);

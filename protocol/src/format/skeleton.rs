@@ -1,6 +1,7 @@
 //! The always-resident part of a scene: bounds, errors, children, blob ranges; no geometry.
 
 use super::class::Class;
+use super::far_field::{Cube, ViewCell};
 use super::texture::Texture;
 use super::vertex::Layout;
 use crate::id::{BlobId, HlodId};
@@ -62,17 +63,17 @@ pub struct Part {
     pub transform: u32,
 }
 
-/// A mesh in the geometry section: 96 bytes.
+/// A mesh or a face of a scan cube in the geometry section: 96 bytes.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable)]
 #[repr(C)]
 pub struct Blob {
-    /// Mesh-space position of grid point (0, 0, 0). Identity placement: scene units.
+    /// Mesh-space position of grid point (0, 0, 0). Identity placement: scene units. Zero for a face.
     pub origin: [f64; 3],
-    /// Mesh-space size of a grid step, a power of two.
+    /// Mesh-space size of a grid step, a power of two. For a face the disparity of a grid unit.
     pub step: f64,
     /// First byte, from the start of the geometry section; a multiple of 64.
     pub offset: u64,
-    /// Bytes, see [`super::vertex`].
+    /// Bytes, see [`super::vertex`] and [`super::projected`].
     pub bytes: u64,
     /// Vertices.
     pub vertices: u32,
@@ -82,10 +83,11 @@ pub struct Blob {
     pub crc: u32,
     /// Its vertices' [`Layout`] as a number.
     pub layout: u32,
-    /// Triangles by [`Class`], in which order they lie. Masked ones have textured vertices.
+    /// Triangles by [`Class`], in which order they lie. Masked ones have textured vertices; those of a
+    /// face are opaque and double-sided.
     pub classes: [u32; Class::COUNT],
-    /// Zero.
-    pub reserved: [u32; 2],
+    /// Side in pixels and number of stored tiles of a face's picture; zero for others.
+    pub image: [u32; 2],
 }
 
 impl Blob {
@@ -96,7 +98,12 @@ impl Blob {
 
     /// What its vertices are.
     pub fn vertex_layout(&self) -> Layout {
-        if self.is_textured() { Layout::Textured } else { Layout::Plain }
+        Layout::of(self.layout).unwrap_or(Layout::Plain)
+    }
+
+    /// Whether it is a face of a scan cube.
+    pub fn is_projected(&self) -> bool {
+        self.layout == Layout::Projected as u32
     }
 
     /// Whether any of its triangles is of `class`.
@@ -207,12 +214,16 @@ pub struct Skeleton {
     pub levels: Vec<Level>,
     /// Parts of all levels, level after level.
     pub parts: Vec<Part>,
-    /// Meshes.
+    /// Meshes and faces of scan cubes.
     pub blobs: Vec<Blob>,
     /// Placements of instances.
     pub transforms: Vec<Transform>,
     /// Textures.
     pub textures: Vec<Texture>,
+    /// Regions of viewpoints with far fields.
+    pub view_cells: Vec<ViewCell>,
+    /// Scan cubes of all of them, cell after cell.
+    pub cubes: Vec<Cube>,
 }
 
 impl Skeleton {
@@ -259,6 +270,11 @@ impl Skeleton {
             super::NONE => Transform::IDENTITY,
             index => self.transforms[index as usize],
         }
+    }
+
+    /// Scan cubes of `cell`.
+    pub fn cubes_of(&self, cell: &ViewCell) -> &[Cube] {
+        &self.cubes[cell.first_cube as usize..][..cell.cube_count as usize]
     }
 
     /// Length of the diagonal of the whole scene's box, scene units.

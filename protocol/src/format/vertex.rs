@@ -86,19 +86,23 @@ pub struct TexturedVertex {
 }
 
 /// What the vertices of a blob are.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 #[repr(u32)]
 pub enum Layout {
     /// [`Vertex`].
     Plain = 0,
     /// [`TexturedVertex`].
     Textured = 1,
+    /// [`super::projected`]: 8 bytes, a place in the picture of a scan cube's face and its disparity.
+    Projected = 2,
 }
 
 impl Layout {
     /// The layout of a number in a file.
     pub fn of(number: u32) -> Option<Self> {
-        [Self::Plain, Self::Textured].into_iter().find(|&layout| layout as u32 == number)
+        [Self::Plain, Self::Textured, Self::Projected]
+            .into_iter()
+            .find(|&layout| layout as u32 == number)
     }
 
     /// Bytes of one vertex.
@@ -106,6 +110,7 @@ impl Layout {
         match self {
             Self::Plain => size_of::<Vertex>(),
             Self::Textured => size_of::<TexturedVertex>(),
+            Self::Projected => super::projected::VERTEX_BYTES,
         }
     }
 }

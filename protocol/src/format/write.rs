@@ -5,9 +5,10 @@
 
 use super::layout::{HEADER_BYTES, Header};
 use super::mesh;
+use super::projected::NewFace;
 use super::texture::{self, Texture, Wrap};
 use super::{ALIGNMENT, Blob, Digest, Hlod, Level, NONE, Part, SceneInfo, Section, Skeleton};
-use super::{Class, Transform, Vertices, Violation, check};
+use super::{Class, Cube, Transform, Vertices, ViewCell, Violation, check};
 use crate::id::BlobId;
 use std::fs::{File, OpenOptions};
 use std::io::{self, BufWriter, Read, Seek, SeekFrom, Write};
@@ -63,6 +64,25 @@ pub enum WriteError {
         /// The rule.
         source: Violation,
     },
+}
+
+/// The tables of a skeleton that the writer does not fill itself.
+#[derive(Debug, Clone, Default)]
+pub struct Tables {
+    /// See [`Skeleton::info`].
+    pub info: SceneInfo,
+    /// See [`Skeleton::hlods`].
+    pub hlods: Vec<Hlod>,
+    /// See [`Skeleton::levels`].
+    pub levels: Vec<Level>,
+    /// See [`Skeleton::parts`].
+    pub parts: Vec<Part>,
+    /// See [`Skeleton::transforms`].
+    pub transforms: Vec<Transform>,
+    /// See [`Skeleton::view_cells`].
+    pub view_cells: Vec<ViewCell>,
+    /// See [`Skeleton::cubes`].
+    pub cubes: Vec<Cube>,
 }
 
 /// What was written.
@@ -200,32 +220,67 @@ impl SceneWriter {
         indices: &[u16],
         classes: [u32; Class::COUNT],
     ) -> Result<BlobId, WriteError> {
-        assert!(self.textures.is_empty(), "pixels lie behind all geometry");
         assert!(check::is_power_of_two(step), "step {step} is no power of two");
         assert!(origin.iter().all(|c| c.is_finite()), "origin {origin:?}");
-        if self.so_far.blobs.len() as u64 >= u64::from(NONE) - 1 {
-            return Err(WriteError::TooMany { path: self.path.clone() });
-        }
         let bytes = mesh::encode(vertices, indices);
         let blob = Blob {
             origin,
             step,
-            offset: self.so_far.geometry_bytes,
-            bytes: bytes.len() as u64,
             vertices: vertices.count() as u32,
             triangles: (indices.len() / 3) as u32,
-            crc: crc32c::crc32c(&bytes),
             layout: vertices.layout() as u32,
             classes,
-            reserved: [0; 2],
+            ..Blob::default()
         };
         let sum: u64 = classes.iter().map(|&n| u64::from(n)).sum();
         assert_eq!(sum, u64::from(blob.triangles), "classes {classes:?}");
         let masked = Class::ALL.iter().any(|class| class.is_mask() && blob.has(*class));
         assert!(blob.is_textured() || !masked, "plain vertices hold no cutoff");
+        self.push(blob, &bytes)
+    }
+
+    /// Appends a face of a scan cube, which one cube of those that [`SceneWriter::finish`] is given must
+    /// name.
+    ///
+    /// # Panics
+    /// If its step is no power of two, it is not as the docs of [`NewFace`] say, a vertex lies outside its
+    /// picture, its mesh breaks the rules of [`SceneWriter::add_blob`], or there is a texture already.
+    pub fn add_face(&mut self, face: &NewFace<'_>) -> Result<BlobId, WriteError> {
+        assert!(check::is_power_of_two(face.step), "step {} is no power of two", face.step);
+        let (blob, bytes) = face.encode();
+        self.push(blob, &bytes)
+    }
+
+    /// Appends a blob of another file as it is: its record there, and its bytes, which have been checked.
+    ///
+    /// # Panics
+    /// If there is a texture already.
+    pub fn copy_blob(&mut self, blob: &Blob, bytes: &[u8]) -> Result<BlobId, WriteError> {
+        self.push(*blob, bytes)
+    }
+
+    /// Appends a texture of another file likewise.
+    pub fn copy_texture(&mut self, texture: &Texture, bytes: &[u8]) -> Result<u32, WriteError> {
+        let index = self.textures.len() as u32;
+        self.textures.push(Texture { offset: self.pixel_bytes, ..*texture });
+        self.pixel_bytes += self.append(bytes)?;
+        Ok(index)
+    }
+
+    /// Appends a blob whose place and checksum are still open.
+    fn push(&mut self, blob: Blob, bytes: &[u8]) -> Result<BlobId, WriteError> {
+        assert!(self.textures.is_empty(), "pixels lie behind all geometry");
+        if self.so_far.blobs.len() as u64 >= u64::from(NONE) - 1 {
+            return Err(WriteError::TooMany { path: self.path.clone() });
+        }
         let id = BlobId(self.so_far.blobs.len() as u32);
-        self.so_far.blobs.push(blob);
-        self.so_far.geometry_bytes += self.append(&bytes)?;
+        self.so_far.blobs.push(Blob {
+            offset: self.so_far.geometry_bytes,
+            bytes: bytes.len() as u64,
+            crc: crc32c::crc32c(bytes),
+            ..blob
+        });
+        self.so_far.geometry_bytes += self.append(bytes)?;
         Ok(id)
     }
 
@@ -261,18 +316,20 @@ impl SceneWriter {
     /// Writes skeleton and header, syncs, and gives the file its name.
     ///
     /// The same calls in the same order give the same bytes, resumed or not.
-    pub fn finish(
-        mut self,
-        info: SceneInfo,
-        hlods: Vec<Hlod>,
-        levels: Vec<Level>,
-        parts: Vec<Part>,
-        transforms: Vec<Transform>,
-    ) -> Result<Finished, WriteError> {
-        let blobs = std::mem::take(&mut self.so_far.blobs);
-        let textures = std::mem::take(&mut self.textures);
-        let skeleton = Skeleton { info, hlods, levels, parts, blobs, transforms, textures };
-        if let Err(source) = check(&skeleton) {
+    pub fn finish(mut self, tables: Tables) -> Result<Finished, WriteError> {
+        let skeleton = Skeleton {
+            info: tables.info,
+            hlods: tables.hlods,
+            levels: tables.levels,
+            parts: tables.parts,
+            blobs: std::mem::take(&mut self.so_far.blobs),
+            transforms: tables.transforms,
+            textures: std::mem::take(&mut self.textures),
+            view_cells: tables.view_cells,
+            cubes: tables.cubes,
+        };
+        let sound = check(&skeleton).and_then(|()| check::check_disjoint(&skeleton.view_cells));
+        if let Err(source) = sound {
             return Err(WriteError::Invalid { path: self.path.clone(), source });
         }
         let mut bytes = [0; Section::ALL.len()];
@@ -329,6 +386,8 @@ fn contents(skeleton: &Skeleton) -> [&[u8]; Section::ALL.len() - 2] {
         bytemuck::cast_slice(&skeleton.blobs),
         bytemuck::cast_slice(&skeleton.transforms),
         bytemuck::cast_slice(&skeleton.textures),
+        bytemuck::cast_slice(&skeleton.view_cells),
+        bytemuck::cast_slice(&skeleton.cubes),
     ]
 }
 

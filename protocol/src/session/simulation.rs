@@ -116,6 +116,9 @@ impl Simulation {
             memory: None,
             residency: Residency::Exact,
             prefetch: true,
+            far: crate::settings::Far::Off,
+            far_cubes: 8,
+            far_triangles: None,
             pictures_dir: None,
         };
         let look = |i: u32| {

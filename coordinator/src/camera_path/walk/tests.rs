@@ -39,6 +39,8 @@ fn scene(boxes: &[[[f64; 3]; 2]], up: [f64; 3], shift: f64) -> (Skeleton, Vec<Ve
         blobs: Vec::new(),
         transforms: Vec::new(),
         textures: Vec::new(),
+        view_cells: Vec::new(),
+        cubes: Vec::new(),
     };
     let mut bytes = Vec::new();
     for (i, [min, max]) in boxes.iter().enumerate() {

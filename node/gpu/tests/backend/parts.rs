@@ -128,7 +128,7 @@ fn placed(random: &mut StdRng, item: u32, blobs: u32) -> Draw {
     }
     let distance = random.random_range(1..9) as f32;
     let blob = BlobId(random.random_range(0..blobs));
-    Draw { blob, item: HlodId(item), linear, offset, distance }
+    Draw { blob, item: HlodId(item), linear, offset, distance, disparity_step: 0.0 }
 }
 
 /// What a backend makes of the parts: picture and depth, items, and which boxes are seen behind the

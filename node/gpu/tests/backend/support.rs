@@ -132,7 +132,7 @@ pub(crate) fn view(width: u32, height: u32) -> View {
 pub(crate) fn draw(blob: u32, item: u32, scale: [f32; 3], offset: [f32; 3]) -> Draw {
     let linear = [[scale[0], 0.0, 0.0], [0.0, scale[1], 0.0], [0.0, 0.0, scale[2]]];
     let distance = offset.map(|c| c * c).iter().sum::<f32>().sqrt();
-    Draw { blob: BlobId(blob), item: HlodId(item), linear, offset, distance }
+    Draw { blob: BlobId(blob), item: HlodId(item), linear, offset, distance, disparity_step: 0.0 }
 }
 
 /// A box in front of the camera on a grid of 1/64, so that its corners as a scaled cube are exact.

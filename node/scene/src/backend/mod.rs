@@ -3,7 +3,11 @@
 //! Coordinates reaching a backend are relative to the eye, in scene axes. Depth is reversed
 //! (1 at the near plane, 0 at infinity) in 32-bit floats, cleared to 0, tested with GreaterEqual. A backend
 //! whose depth does not stem from the corners that decide coverage moves it by the biases of
-//! [`crate::occludee`], in all passes alike.
+//! [`crate::occludee`], in all passes alike; that of projected blobs stays where it is.
+//!
+//! A projected blob ([`protocol::format::projected`]) is shown as it was shaded: its picture under a bilinear
+//! filter, without mips, whose pixels are made linear before they are weighed. Beyond the picture its border
+//! goes on; for a pixel whose tile is not stored stands the nearest of the filter's four that is.
 
 pub mod cpu;
 pub mod light;
@@ -39,6 +43,10 @@ pub struct Draw {
     pub offset: [f32; 3],
     /// Distance from the eye to the middle of its hlod's box, by which what blends is put in order.
     pub distance: f32,
+    /// Disparity of a unit of z of a projected blob's grid, 0 for other blobs. With it `linear * grid +
+    /// offset` is the eye-relative position times the disparity `grid.z * disparity_step`
+    /// ([`protocol::format::projected`]); what is nearer than the near plane is cut off.
+    pub disparity_step: f32,
 }
 
 impl Draw {
@@ -236,9 +244,9 @@ pub trait Backend {
     /// first textured blob.
     fn upload_textures(&mut self, textures: &[TextureUpload<'_>]) -> Result<Upload, BackendError>;
 
-    /// Takes a blob's bytes: [`protocol::format::vertex`] vertices, then 16-bit indices. Of `blob` it
-    /// reads counts, layout and classes. One that takes the place of another of that id needs room
-    /// beside it.
+    /// Takes a blob's bytes: [`protocol::format::vertex`] vertices, then 16-bit indices, or those of a
+    /// [`protocol::format::projected`] blob. Of `blob` it reads counts, layout, classes and the picture's
+    /// size. One that takes the place of another of that id needs room beside it.
     ///
     /// What is free may lie in pieces too short for a blob. When all blobs are evicted, any has room that,
     /// its bytes rounded up to a multiple of 32, the budget less the textures holds.
@@ -265,7 +273,8 @@ mod tests {
     fn an_odd_number_of_mirrors_mirrors() {
         let linear = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
         let (blob, item) = (BlobId(0), HlodId(0));
-        let mut draw = Draw { blob, item, linear, offset: [0.0; 3], distance: 0.0 };
+        let mut draw =
+            Draw { blob, item, linear, offset: [0.0; 3], distance: 0.0, disparity_step: 0.0 };
         for mirrored in [true, false, true] {
             let k = draw.linear.iter().position(|column| column.iter().all(|&c| c >= 0.0)).unwrap();
             draw.linear[k] = draw.linear[k].map(|c| -c * 1e-20);

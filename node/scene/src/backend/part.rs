@@ -74,7 +74,14 @@ mod tests {
 
     fn items(solid: usize, blending: usize, part: Part) -> Pass {
         let (blob, item) = (BlobId(0), HlodId(0));
-        let draw = Draw { blob, item, linear: [[0.0; 3]; 3], offset: [0.0; 3], distance: 0.0 };
+        let draw = Draw {
+            blob,
+            item,
+            linear: [[0.0; 3]; 3],
+            offset: [0.0; 3],
+            distance: 0.0,
+            disparity_step: 0.0,
+        };
         let draws = Draws { solid: vec![draw; solid], blending: vec![draw; blending] };
         Pass::Items { view: view(1), draws, part }
     }

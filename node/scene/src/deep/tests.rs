@@ -4,7 +4,7 @@ use geometry::bounds::Aabb;
 use geometry::hausdorff::{Goal, directed, sampled};
 use geometry::mesh::{Mesh, MeshVertex};
 use glam::{DVec3, Vec3};
-use protocol::format::{Class, Part, SceneInfo, SceneWriter, Transform, Vertex, Vertices};
+use protocol::format::{Class, Part, SceneInfo, SceneWriter, Tables, Transform, Vertex, Vertices};
 use tempfile::TempDir;
 
 /// Grid steps between neighbours of the finest patch.
@@ -136,7 +136,9 @@ impl Scene {
             objects: 1,
             ..SceneInfo::zeroed()
         };
-        writer.finish(info, hlods, levels, parts, vec![self.second]).unwrap();
+        let transforms = vec![self.second];
+        let tables = Tables { info, hlods, levels, parts, transforms, ..Tables::default() };
+        writer.finish(tables).unwrap();
         let store = Store::open(&path).unwrap();
         (folder, store, truth)
     }

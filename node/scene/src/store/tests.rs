@@ -189,7 +189,7 @@ fn a_file_replaced_by_rename_stays_what_it_was() {
     let finished = fixture::write_other(store.path());
     assert_ne!(finished.digest, store.digest());
     assert!(holds_what(&store, &before));
-    assert_eq!(verify(&store).map(|verified| verified.blobs), Ok(2));
+    assert_eq!(verify(&store).map(|verified| verified.meshes), Ok(2));
     assert_eq!(Store::open(store.path()).unwrap().digest(), finished.digest);
     drop(folder);
     assert!(holds_what(&store, &before));

@@ -23,6 +23,10 @@ pub enum Place {
     Transform(u32),
     /// A texture, index into [`Skeleton::textures`].
     Texture(u32),
+    /// A view cell, index into [`Skeleton::view_cells`].
+    ViewCell(u32),
+    /// A scan cube, index into [`Skeleton::cubes`].
+    Cube(u32),
 }
 
 impl std::fmt::Display for Place {
@@ -35,6 +39,8 @@ impl std::fmt::Display for Place {
             Self::Blob(id) => write!(f, "blob {id}"),
             Self::Transform(index) => write!(f, "transform {index}"),
             Self::Texture(index) => write!(f, "texture {index}"),
+            Self::ViewCell(index) => write!(f, "view cell {index}"),
+            Self::Cube(index) => write!(f, "cube {index}"),
         }
     }
 }
@@ -149,12 +155,18 @@ pub enum Rule {
         /// What the part names.
         transform: u32,
     },
-    /// Levels know their meshes.
-    #[error("it counts {said} triangles, its parts {found}")]
+    /// What is drawn under a hlod's placement has vertices in its space.
+    #[error("blob {blob} is the face of a scan cube")]
+    FaceAsPart {
+        /// What the part names.
+        blob: u32,
+    },
+    /// Levels and cubes know their blobs.
+    #[error("it counts {said} triangles, its blobs {found}")]
     Triangles {
-        /// The level's count.
+        /// The count.
         said: u32,
-        /// The sum over its parts' blobs.
+        /// The sum over the blobs of its parts or faces.
         found: u64,
     },
     /// Grid steps are powers of two.
@@ -173,7 +185,7 @@ pub enum Rule {
         /// Bytes.
         bytes: u64,
     },
-    /// Vertices are plain or textured.
+    /// Vertices are plain, textured or projected.
     #[error("its vertex layout {layout} does not exist")]
     Layout {
         /// The layout.
@@ -190,6 +202,77 @@ pub enum Rule {
     /// The cutoff of a mask lies in textured vertices.
     #[error("it has masked triangles without textured vertices")]
     PlainMask,
+    /// Faces of scan cubes, and they alone, have a picture, of no more tiles than it is large.
+    #[error("it cannot have a picture of {side} pixels a side and {tiles} tiles")]
+    Picture {
+        /// Pixels.
+        side: u32,
+        /// Stored tiles.
+        tiles: u32,
+    },
+    /// Faces are opaque and seen from both sides.
+    #[error("it is a face whose triangles are not all opaque and double-sided")]
+    FaceClass,
+    /// A face's places are relative to its cube's viewpoint.
+    #[error("it is a face whose origin is not zero")]
+    FaceOrigin,
+    /// Every face belongs to exactly one cube, and to one of its sides.
+    #[error("it is a face of {owners} cubes")]
+    FaceOwners {
+        /// How many.
+        owners: u32,
+    },
+    /// Cells have an inside.
+    #[error("the least corner of its box is not less than the greatest in every axis")]
+    FlatCell,
+    /// Cells do not overlap.
+    #[error("it overlaps view cell {other}")]
+    Overlap {
+        /// One that comes before it.
+        other: u32,
+    },
+    /// Ways to make a far field.
+    #[error("its method {method} does not exist")]
+    Method {
+        /// The method.
+        method: u32,
+    },
+    /// Cubes of consecutive cells lie one after another.
+    #[error(
+        "its cubes {first}..+{count} do not follow those of the cell before, which end at {expected}"
+    )]
+    CubeRange {
+        /// First cube.
+        first: u32,
+        /// How many.
+        count: u32,
+        /// Where the first should be.
+        expected: u32,
+    },
+    /// A cell has cubes if it has a method.
+    #[error("{count} cubes are not what its method makes")]
+    CubeCount {
+        /// How many.
+        count: u32,
+    },
+    /// Every cube belongs to a cell.
+    #[error("it belongs to no view cell")]
+    StrayCube,
+    /// Viewpoints of samples lie in their cell.
+    #[error("its viewpoint lies outside its cell")]
+    OutsideCell,
+    /// The cube a delta cube depends on comes before it in the same cell; others depend on none.
+    #[error("parent {parent} is no cube it can depend on")]
+    CubeParent {
+        /// What the cube names.
+        parent: u32,
+    },
+    /// Faces in range.
+    #[error("blob {blob} is no face of a scan cube")]
+    NoFace {
+        /// What the cube names.
+        blob: u32,
+    },
     /// Sides of textures are powers of two.
     #[error("its side {side} is no power of two from 1 to {MAX_SIDE}")]
     Side {

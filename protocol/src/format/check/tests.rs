@@ -1,5 +1,5 @@
 use super::*;
-use crate::format::{Level, Part, fixture};
+use crate::format::{Cube, Level, Method, Part, ViewCell, fixture};
 
 /// The rule that breaks once `change` is applied to a sound skeleton.
 fn broken(change: impl FnOnce(&mut Skeleton)) -> Violation {
@@ -95,7 +95,8 @@ fn levels_name_what_exists() {
 #[test]
 fn parts_name_what_exists() {
     let part = |change: fn(&mut Part)| broken(|s| change(&mut s.parts[4]));
-    assert_eq!(part(|p| p.blob = 4).rule, Rule::NoBlob { blob: 4 });
+    assert_eq!(part(|p| p.blob = 7).rule, Rule::NoBlob { blob: 7 });
+    assert_eq!(part(|p| p.blob = 4).rule, Rule::FaceAsPart { blob: 4 });
     assert_eq!(part(|p| p.blob = NONE).place, Place::Part(4));
     assert_eq!(part(|p| p.transform = 1).rule, Rule::NoTransform { transform: 1 });
     // Another mesh of other size.
@@ -118,8 +119,8 @@ fn parts_follow_each_other_level_after_level() {
 
 #[test]
 fn triangles_have_classes_and_masks_textured_vertices() {
-    let layout = broken(|s| s.blobs[0].layout = 2);
-    assert_eq!(layout, Violation { place: blob(0), rule: Rule::Layout { layout: 2 } });
+    let layout = broken(|s| s.blobs[0].layout = 3);
+    assert_eq!(layout, Violation { place: blob(0), rule: Rule::Layout { layout: 3 } });
     // A textured mesh has more bytes.
     assert!(matches!(broken(|s| s.blobs[0].layout = 1).rule, Rule::MeshSize { .. }));
     let classes = Rule::Classes { sum: 3, triangles: 2 };
@@ -198,15 +199,14 @@ fn blobs_are_meshes_in_a_row() {
     assert_eq!(broken(|s| s.blobs[0].bytes += 4).place, blob(0));
     assert_eq!(broken(|s| s.blobs[0].vertices = 0).place, blob(0));
     assert_eq!(broken(|s| s.blobs[0].origin[1] = f64::NAN).rule, Rule::NotFinite);
-    assert_eq!(broken(|s| s.blobs[0].reserved[1] = 1).rule, Rule::Reserved);
     let large = broken(|s| {
         s.blobs[2].vertices = MAX_BLOB_VERTICES as u32 + 1;
-        s.blobs[2].bytes = mesh_bytes(Layout::Plain, s.blobs[2].vertices, s.blobs[2].triangles);
+        s.blobs[2].bytes = blob_bytes(&s.blobs[2]);
     });
     assert!(matches!(large.rule, Rule::MeshSize { .. }));
     let empty = broken(|s| {
         s.blobs[2].triangles = 0;
-        s.blobs[2].bytes = mesh_bytes(Layout::Plain, s.blobs[2].vertices, 0);
+        s.blobs[2].bytes = blob_bytes(&s.blobs[2]);
     });
     assert!(matches!(empty.rule, Rule::MeshSize { triangles: 0, .. }));
 }
@@ -227,4 +227,106 @@ fn facts_and_placements() {
     let transform = broken(|s| s.transforms[0].linear[1][2] = f64::INFINITY);
     assert_eq!(transform, Violation { place: Place::Transform(0), rule: Rule::NotFinite });
     assert_eq!(transform.to_string(), "transform 0: a number is not finite");
+}
+
+#[test]
+fn faces_alone_have_pictures_and_no_origin_of_their_own() {
+    let picture = |id: usize, image: [u32; 2]| {
+        let found = broken(|s| s.blobs[id].image = image);
+        let rule = Rule::Picture { side: image[0], tiles: image[1] };
+        assert_eq!(found, Violation { place: blob(id as u32), rule });
+    };
+    picture(0, [0, 1]);
+    picture(3, [16, 0]);
+    for side in [0, 8, 48, 8192, u32::MAX] {
+        picture(4, [side, 0]);
+    }
+    picture(4, [32, 5]);
+    assert_eq!(broken(|s| s.blobs[1].layout = 2).rule, Rule::Picture { side: 0, tiles: 0 });
+    assert!(matches!(broken(|s| s.blobs[4].image[1] = 3).rule, Rule::MeshSize { .. }));
+    let single = broken(|s| s.blobs[5].classes = [1, 1, 0, 0, 0, 0]);
+    assert_eq!(single, Violation { place: blob(5), rule: Rule::FaceClass });
+    assert_eq!(broken(|s| s.blobs[4].origin[2] = 1.0).rule, Rule::FaceOrigin);
+    assert_eq!(broken(|s| s.blobs[4].step = 0.3).rule, Rule::Step { step: 0.3 });
+}
+
+#[test]
+fn every_face_belongs_to_one_cube() {
+    let owners = |id, owners| Violation { place: blob(id), rule: Rule::FaceOwners { owners } };
+    let unnamed = broken(|s| {
+        s.cubes[0].faces[4] = NONE;
+        s.cubes[0].triangles = 1;
+    });
+    assert_eq!(unnamed, owners(5, 0));
+    let shared = broken(|s| {
+        s.cubes[1].faces[0] = 4;
+        s.cubes[1].triangles = 2;
+    });
+    assert_eq!(shared, owners(4, 2));
+    for blob in [0, 7] {
+        assert_eq!(broken(|s| s.cubes[1].faces[0] = blob).rule, Rule::NoFace { blob });
+    }
+}
+
+#[test]
+fn view_cells_have_an_inside_a_method_and_the_cubes_it_makes() {
+    let cell = |change: fn(&mut ViewCell)| broken(|s| change(&mut s.view_cells[0])).rule;
+    assert_eq!(cell(|c| c.max[1] = 0.0), Rule::FlatCell);
+    assert_eq!(cell(|c| c.min[2] = f64::NAN), Rule::NotFinite);
+    assert_eq!(cell(|c| c.objective = f64::INFINITY), Rule::NotFinite);
+    assert_eq!(cell(|c| c.objective = -0.1), Rule::Negative);
+    assert_eq!(cell(|c| c.reserved = 1), Rule::Reserved);
+    assert_eq!(cell(|c| c.method = 3), Rule::Method { method: 3 });
+    assert_eq!(cell(|c| c.method = 0), Rule::CubeCount { count: 2 });
+    let range = |first, count, expected| Rule::CubeRange { first, count, expected };
+    assert_eq!(cell(|c| c.first_cube = 1), range(1, 2, 0));
+    assert_eq!(cell(|c| c.cube_count = 3), range(0, 3, 0));
+    assert_eq!(cell(|c| c.cube_count = u32::MAX), range(0, u32::MAX, 0));
+    let second = broken(|s| s.view_cells[1].first_cube = 0);
+    assert_eq!(second, Violation { place: Place::ViewCell(1), rule: range(0, 0, 2) });
+    let empty = broken(|s| s.view_cells[1].method = Method::Tdm as u32);
+    assert_eq!(empty, Violation { place: Place::ViewCell(1), rule: Rule::CubeCount { count: 0 } });
+    let stray = broken(|s| s.cubes.push(s.cubes[1]));
+    assert_eq!(stray, Violation { place: Place::Cube(2), rule: Rule::StrayCube });
+    assert_eq!(broken(|s| s.view_cells.clear()).place, Place::Cube(0));
+}
+
+#[test]
+fn cubes_lie_in_their_cell_and_depend_on_earlier_ones_of_it() {
+    let cube = |change: fn(&mut Cube)| broken(|s| change(&mut s.cubes[1]));
+    let outside = cube(|c| c.eye[0] = 1.5);
+    assert_eq!(outside, Violation { place: Place::Cube(1), rule: Rule::OutsideCell });
+    assert_eq!(cube(|c| c.eye[0] = f64::NAN).rule, Rule::NotFinite);
+    assert_eq!(cube(|c| c.triangles = 2).rule, Rule::Triangles { said: 2, found: 1 });
+    assert_eq!(cube(|c| c.parent = 1).rule, Rule::CubeParent { parent: 1 });
+    assert_eq!(broken(|s| s.cubes[0].parent = 0).place, Place::Cube(0));
+    // Whole cubes depend on none.
+    let whole = broken(|s| s.view_cells[0].method = Method::Tdm as u32);
+    assert_eq!(whole, Violation { place: Place::Cube(1), rule: Rule::CubeParent { parent: 0 } });
+    // Each cube in a cell of its own: the second cannot depend on the first.
+    let foreign = broken(|s| {
+        s.view_cells[0].cube_count = 1;
+        s.view_cells[1] = ViewCell { first_cube: 1, ..s.view_cells[0] };
+    });
+    assert_eq!(foreign, Violation { place: Place::Cube(1), rule: Rule::CubeParent { parent: 0 } });
+}
+
+#[test]
+fn cells_that_touch_do_not_overlap() {
+    let cells = fixture::view_cells();
+    assert_eq!(check_disjoint(&[]), Ok(()));
+    assert_eq!(check_disjoint(&cells), Ok(()));
+    let moved = |by: [f64; 3]| {
+        let c = cells[0];
+        let shift = |corner: [f64; 3]| std::array::from_fn(|k| corner[k] + by[k]);
+        ViewCell { min: shift(c.min), max: shift(c.max), ..c }
+    };
+    let beside = [[0.0, 1.0, 0.0], [0.5, 0.0, -1.0], [-1.0, 0.0, 0.0], [0.25, -1.0, 0.5]];
+    beside.iter().for_each(|&by| assert_eq!(check_disjoint(&[cells[0], moved(by)]), Ok(())));
+    for by in [[0.5, 0.0, 0.0], [-0.5, 0.5, 0.9], [0.0; 3]] {
+        let overlap = Violation { place: Place::ViewCell(2), rule: Rule::Overlap { other: 0 } };
+        let far = moved([0.0, 5.0, 0.0]);
+        assert_eq!(check_disjoint(&[cells[0], far, moved(by)]), Err(overlap));
+        assert_eq!(check_disjoint(&[moved(by), far, cells[0]]), Err(overlap));
+    }
 }

@@ -1,4 +1,5 @@
 use super::*;
+use crate::format::projected::Face;
 use crate::format::{fixture, parse, read_blob, read_skeleton};
 
 fn names(folder: &Path) -> Vec<String> {
@@ -19,6 +20,8 @@ fn what_is_written_is_read() {
     assert_eq!(scene.skeleton.parts, fixture::parts());
     assert_eq!(scene.skeleton.transforms, fixture::transforms());
     assert_eq!(scene.skeleton.info, fixture::info());
+    assert_eq!(scene.skeleton.view_cells, fixture::view_cells());
+    assert_eq!(scene.skeleton.cubes, fixture::cubes());
 
     let file = File::open(&path).unwrap();
     let wide = read_blob(&file, &scene, BlobId(2)).unwrap();
@@ -28,6 +31,12 @@ fn what_is_written_is_read() {
     let vertices: Vec<_> =
         mesh::textured_vertices_of(scene.skeleton.blob(BlobId(3)), &leaf).collect();
     assert_eq!(vertices, fixture::leaf());
+    let bytes = read_blob(&file, &scene, BlobId(6)).unwrap();
+    let (blob, face) = (scene.skeleton.blob(BlobId(6)), fixture::face());
+    let read = Face::of(blob, &bytes);
+    assert_eq!((blob.step, read.side, read.table), (face.step, face.side, &[1, 0, 0, 0][..]));
+    assert_eq!(read.vertices, bytemuck::cast_slice::<_, u8>(face.vertices));
+    assert_eq!((read.indices, read.tiles), (&[0, 0, 1, 0, 2, 0][..], face.tiles.as_flattened()));
     let [texture] = scene.skeleton.textures[..] else { panic!("one texture") };
     assert_eq!(Wrap::unpack(texture.wrap), Some([Wrap::Repeat, Wrap::Mirror]));
     let range = scene.texture_range(0);
@@ -50,7 +59,7 @@ fn a_writer_that_is_killed_goes_on_to_the_same_bytes() {
     let empty = writer.checkpoint().unwrap();
     fixture::add_blobs(&mut writer);
     let state = writer.checkpoint().unwrap();
-    assert_eq!((state.blobs.len(), empty.geometry_bytes), (4, 0));
+    assert_eq!((state.blobs.len(), empty.geometry_bytes), (7, 0));
     // What comes after the checkpoint is lost with the process.
     add(&mut writer);
     drop(writer);
@@ -58,13 +67,12 @@ fn a_writer_that_is_killed_goes_on_to_the_same_bytes() {
     for state in [state, empty] {
         let again = state.blobs.is_empty();
         let mut writer = SceneWriter::resume(&working, &path, state).unwrap();
-        assert_eq!(writer.checkpoint().unwrap().blobs.len(), if again { 0 } else { 4 });
+        assert_eq!(writer.checkpoint().unwrap().blobs.len(), if again { 0 } else { 7 });
         if again {
             fixture::add_blobs(&mut writer);
         }
         fixture::add_texture(&mut writer);
-        let (hlods, levels, parts) = (fixture::hlods(), fixture::levels(), fixture::parts());
-        writer.finish(fixture::info(), hlods, levels, parts, fixture::transforms()).unwrap();
+        writer.finish(fixture::tables()).unwrap();
         assert_eq!(names(folder.path()), ["scene.occ"]);
         assert_eq!(std::fs::read(&path).unwrap(), fixture::bytes());
         std::fs::rename(&path, &working).unwrap();
@@ -95,6 +103,7 @@ fn a_working_file_that_does_not_fit_its_state_is_refused() {
     changed(|s| s.blobs[1].crc ^= 1);
     changed(|s| s.blobs[1].vertices = u32::MAX);
     changed(|s| s.blobs[0].layout = 9);
+    changed(|s| s.blobs[4].image[1] = 1);
     std::fs::write(&working, &bytes[..bytes.len() - 1]).unwrap();
     assert!(matches!(refused(&state), WriteError::Resume { .. }));
     let mut damaged = bytes.clone();
@@ -126,13 +135,13 @@ fn the_same_scene_gives_the_same_bytes() {
 fn golden_bytes_hold_the_layout_still() {
     // A change here is a change of the format: raise FORMAT_VERSION and tell FORMAT.md.
     let bytes = fixture::bytes();
-    assert_eq!(&bytes[..16], b"\x89OCC\r\n\x1a\n\x02\0\0\0\x04\x03\x02\x01");
+    assert_eq!(&bytes[..16], b"\x89OCC\r\n\x1a\n\x03\0\0\0\x04\x03\x02\x01");
     assert_eq!(bytes.len(), GOLDEN_BYTES);
     assert_eq!(blake3::hash(&bytes).to_hex()[..16], *GOLDEN_HASH);
 }
 
-const GOLDEN_BYTES: usize = 2112;
-const GOLDEN_HASH: &str = "c56dc0d7ce52ec1c";
+const GOLDEN_BYTES: usize = 3520;
+const GOLDEN_HASH: &str = "045dcb5417d65a37";
 
 #[test]
 fn dropping_removes_the_temporary_file() {
@@ -151,12 +160,23 @@ fn a_broken_scene_is_not_written() {
     std::fs::write(&path, "kept").unwrap();
     let mut writer = SceneWriter::create(&path).unwrap();
     fixture::add_blobs(&mut writer);
-    let none = (Vec::new(), Vec::new(), Vec::new());
-    let error = writer.finish(fixture::info(), fixture::hlods(), none.0, none.1, none.2);
-    let message = error.unwrap_err().to_string();
+    let bare = Tables { info: fixture::info(), hlods: fixture::hlods(), ..Tables::default() };
+    let message = writer.finish(bare).unwrap_err().to_string();
     assert!(message.contains("scene.occ") && message.contains("hlod 0"), "{message}");
     assert_eq!(names(folder.path()), ["scene.occ"]);
     assert_eq!(std::fs::read(&path).unwrap(), b"kept");
+}
+
+#[test]
+fn cells_that_overlap_are_not_written() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut writer = SceneWriter::create(&folder.path().join("scene.occ")).unwrap();
+    fixture::add_blobs(&mut writer);
+    fixture::add_texture(&mut writer);
+    let mut tables = fixture::tables();
+    tables.view_cells[1].min[0] = 0.5;
+    let message = writer.finish(tables).unwrap_err().to_string();
+    assert!(message.contains("view cell 1: it overlaps view cell 0"), "{message}");
 }
 
 #[test]
@@ -177,8 +197,7 @@ fn a_failed_rename_removes_the_temporary_file() {
     fixture::add_blobs(&mut writer);
     std::fs::create_dir(&path).unwrap();
     fixture::add_texture(&mut writer);
-    let (hlods, levels, parts) = (fixture::hlods(), fixture::levels(), fixture::parts());
-    let result = writer.finish(fixture::info(), hlods, levels, parts, fixture::transforms());
+    let result = writer.finish(fixture::tables());
     assert!(matches!(result, Err(WriteError::Publish { .. })), "{result:?}");
     assert_eq!(names(folder.path()), ["scene.occ"]);
 }

@@ -20,6 +20,9 @@ fn coordinator() -> Coordinator {
         memory: None,
         residency: Residency::Exact,
         prefetch: true,
+        far: crate::settings::Far::Off,
+        far_cubes: 8,
+        far_triangles: None,
         pictures_dir: None,
     };
     let camera = Camera::look_at([0.0; 3], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0], 60.0, 0.1).unwrap();

@@ -21,6 +21,9 @@ fn welcome(seat: u8, schedule: Schedule) -> Message {
         memory: None,
         residency: Residency::Exact,
         prefetch: true,
+        far: crate::settings::Far::Off,
+        far_cubes: 8,
+        far_triangles: None,
         pictures_dir: None,
     };
     let peers = (0..3).map(|i| PeerAddress { seat: Seat(i), address: "h:1".into() }).collect();

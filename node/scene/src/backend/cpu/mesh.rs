@@ -1,7 +1,8 @@
 //! A mesh as uploaded: bytes checked once, so that drawing need not.
 
+use super::face::Face;
 use crate::backend::BackendError;
-use protocol::format::{Blob, Class, TexturedVertex, Vertex};
+use protocol::format::{Blob, Class, TexturedVertex, Vertex, projected};
 use protocol::id::BlobId;
 use std::ops::Range;
 
@@ -22,17 +23,28 @@ fn damaged(id: BlobId, what: &str) -> BackendError {
 /// Errors: `Device` where it is shorter.
 pub(super) fn bytes_of(id: BlobId, blob: &Blob, bytes: &[u8]) -> Result<u64, BackendError> {
     let triangle_bytes = size_of::<[u16; 3]>() as u64;
-    let needed = blob.vertex_bytes() as u64 + u64::from(blob.triangles) * triangle_bytes;
+    let drawn = blob.vertex_bytes() as u64 + u64::from(blob.triangles) * triangle_bytes;
+    let [side, tiles] = blob.image;
+    let (length, held) = match (blob.is_projected(), projected::is_side(side)) {
+        (false, _) => (drawn, drawn),
+        (true, true) => {
+            let picture = projected::image_bytes(side, tiles);
+            (drawn.next_multiple_of(4) + picture, drawn + picture)
+        }
+        (true, false) => return Err(damaged(id, "no picture has such a side")),
+    };
     let too_short = || damaged(id, "it is shorter than its counts say");
-    (needed <= bytes.len() as u64).then_some(needed).ok_or_else(too_short)
+    (length <= bytes.len() as u64).then_some(held).ok_or_else(too_short)
 }
 
 /// Vertices and triangles of a blob.
 pub(super) struct Mesh {
-    /// At most [`protocol::format::vertex::MAX_BLOB_VERTICES`].
+    /// At most [`protocol::format::vertex::MAX_BLOB_VERTICES`]; none of a projected one.
     pub(super) vertices: Box<[Vertex]>,
     /// As many as vertices; none of a plain mesh.
     pub(super) texturing: Box<[Texturing]>,
+    /// Of a projected one.
+    pub(super) face: Option<Face>,
     /// Each below the number of vertices.
     pub(super) triangles: Box<[[u16; 3]]>,
     /// Where the triangles of each class lie.
@@ -40,14 +52,17 @@ pub(super) struct Mesh {
 }
 
 impl Mesh {
-    /// Reads a blob ([`protocol::format::vertex`]); its bytes may come from anywhere.
+    /// Reads a blob ([`protocol::format::vertex`], [`projected`]); its bytes may come from anywhere.
     pub(super) fn read(id: BlobId, blob: &Blob, bytes: &[u8]) -> Result<Self, BackendError> {
-        let needed = bytes_of(id, blob, bytes)?;
-        let (vertex_bytes, index_bytes) = bytes[..needed as usize].split_at(blob.vertex_bytes());
+        bytes_of(id, blob, bytes)?;
+        let (vertex_bytes, rest) = bytes.split_at(blob.vertex_bytes());
+        let index_bytes = &rest[..blob.triangles as usize * size_of::<[u16; 3]>()];
         let count = blob.vertices as usize;
+        let mut face = None;
         // `bytes` may lie at any address, so values are copied out one by one.
-        let (mut vertices, mut texturing) = (Vec::with_capacity(count), Vec::new());
+        let (mut vertices, mut texturing) = (Vec::new(), Vec::new());
         if blob.is_textured() {
+            vertices.reserve_exact(count);
             texturing.reserve_exact(count);
             let (chunks, _) = vertex_bytes.as_chunks::<{ size_of::<TexturedVertex>() }>();
             for chunk in chunks {
@@ -56,6 +71,12 @@ impl Mesh {
                 vertices.push(plain);
                 texturing.push(Texturing { tex_coord, texture, cutoff });
             }
+        } else if blob.is_projected() {
+            if blob.classes != Class::OpaqueDouble.all(blob.triangles) {
+                return Err(damaged(id, "a face of a scan cube is opaque from both sides"));
+            }
+            let read = Face::read(&projected::Face::of(blob, bytes));
+            face = Some(read.ok_or_else(|| damaged(id, "its picture names a tile it lacks"))?);
         } else {
             let (chunks, _) = vertex_bytes.as_chunks::<{ size_of::<Vertex>() }>();
             vertices.extend(chunks.iter().map(|c| bytemuck::pod_read_unaligned::<Vertex>(c)));
@@ -65,7 +86,7 @@ impl Mesh {
             .iter()
             .map(|&[a, b, c, d, e, f]| [[a, b], [c, d], [e, f]].map(u16::from_le_bytes))
             .collect();
-        if triangles.as_flattened().iter().any(|&index| usize::from(index) >= vertices.len()) {
+        if triangles.as_flattened().iter().any(|&index| usize::from(index) >= count) {
             return Err(damaged(id, "a triangle names a vertex it does not have"));
         }
         let sum: u64 = blob.classes.iter().map(|&count| u64::from(count)).sum();
@@ -76,14 +97,34 @@ impl Mesh {
             let range = blob.triangles_of(class);
             range.start as usize..range.end as usize
         });
-        Ok(Self { vertices: vertices.into(), texturing: texturing.into(), triangles, classes })
+        Ok(Self {
+            vertices: vertices.into(),
+            texturing: texturing.into(),
+            face,
+            triangles,
+            classes,
+        })
     }
 
     /// Bytes of its arrays.
     pub(super) fn held_bytes(&self) -> u64 {
-        let Self { vertices, texturing, triangles, classes: _ } = self;
+        let Self { vertices, texturing, face, triangles, classes: _ } = self;
         let bytes = size_of_val(&**vertices) + size_of_val(&**texturing);
-        (bytes + size_of_val(&**triangles)) as u64
+        (bytes + face.as_ref().map_or(0, Face::held_bytes) + size_of_val(&**triangles)) as u64
+    }
+
+    /// How many vertices it has.
+    pub(super) fn count(&self) -> usize {
+        self.face.as_ref().map_or(self.vertices.len(), |face| face.positions.len())
+    }
+
+    /// The grid position of a vertex.
+    pub(super) fn grid(&self, vertex: usize) -> [f64; 3] {
+        let vertex = match &self.face {
+            None => self.vertices[vertex],
+            Some(face) => Vertex { position: face.positions[vertex], normal: 0, color: 0 },
+        };
+        vertex.grid().map(f64::from)
     }
 
     /// Its triangles of one class.

@@ -5,6 +5,7 @@
 
 mod boxes;
 mod canvas;
+mod face;
 mod mesh;
 mod paint;
 mod project;

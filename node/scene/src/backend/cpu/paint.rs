@@ -30,7 +30,7 @@ pub(super) struct Painter<'a> {
 }
 
 /// A triangle of a draw: `draw << 32 | triangle`, and itself, made when it is first asked for.
-struct Latest(Option<(u64, Surface)>);
+struct Latest<'a>(Option<(u64, Surface<'a>)>);
 
 impl<'a> Painter<'a> {
     pub(super) fn new(
@@ -123,7 +123,7 @@ impl<'a> Painter<'a> {
     /// Linear colour and alpha of a triangle at a pixel.
     fn color(
         &self,
-        latest: &mut Latest,
+        latest: &mut Latest<'a>,
         placements: &[Placement],
         owner: u64,
         [x, y]: [u32; 2],
@@ -135,7 +135,10 @@ impl<'a> Painter<'a> {
     }
 
     fn placements(&self) -> Vec<Placement> {
-        self.draws.iter().map(|draw| Placement::new(self.projection, draw)).collect()
+        let placed = self.draws.iter().zip(&self.meshes);
+        placed
+            .map(|(draw, mesh)| Placement::new(self.projection, draw, mesh.face.is_some()))
+            .collect()
     }
 
     fn pixel(&self, x: u32, y: u32) -> Pixel {
@@ -180,11 +183,10 @@ impl<'a> Painter<'a> {
             if triangles.is_empty() {
                 continue;
             }
-            let rows = self.projection.clip_from_grid(draw);
-            let clip = |vertex: usize| apply(&rows, mesh.vertices[vertex].grid().map(f64::from));
+            let rows = self.projection.clip_from_grid(draw, mesh.face.is_some());
+            let clip = |vertex: usize| apply(&rows, mesh.grid(vertex));
             placed.clear();
-            placed
-                .extend((0..mesh.vertices.len()).map(|vertex| self.projection.place(clip(vertex))));
+            placed.extend((0..mesh.count()).map(|vertex| self.projection.place(clip(vertex))));
             let drawn = match (class.is_single_sided(), draw.is_mirrored()) {
                 (false, _) => Turns::Either,
                 (true, false) => Turns::CounterClockwise,
@@ -206,8 +208,8 @@ impl<'a> Painter<'a> {
     }
 }
 
-impl Latest {
-    fn of(&mut self, owner: u64, painter: &Painter<'_>, placements: &[Placement]) -> &Surface {
+impl<'a> Latest<'a> {
+    fn of(&mut self, owner: u64, painter: &Painter<'a>, placements: &[Placement]) -> &Surface<'a> {
         let surface = match self.0.take() {
             Some((same, surface)) if same == owner => surface,
             _ => {

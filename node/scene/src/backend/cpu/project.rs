@@ -5,11 +5,12 @@ use crate::backend::{Draw, View};
 use protocol::settings::PictureSize;
 use std::ops::ControlFlow;
 
-/// Homogeneous screen coordinates: clip x, clip y, clip w (the view depth).
-pub(super) type Clip = [f64; 3];
+/// Homogeneous screen coordinates: clip x, y and w (the view depth), and clip z (the near distance), all
+/// times the weight of the point, which is 1 but for [`protocol::format::projected`] blobs.
+pub(super) type Clip = [f64; 4];
 
 /// An affine map from some coordinates to [`Clip`]: rows of three factors and a constant.
-pub(super) type Rows = [[f64; 4]; 3];
+pub(super) type Rows = [[f64; 4]; 4];
 
 /// The frustum's planes a vertex lies outside of, and two bits that ask for clipping.
 const LEFT: u8 = 1;
@@ -42,7 +43,6 @@ impl Placed {
 pub(super) struct Projection {
     pub(super) size: PictureSize,
     clip_from_eye: Rows,
-    near: f64,
     /// Half the picture, pixels.
     half: [f64; 2],
     /// Largest |x / w| and |y / w| within the grid.
@@ -58,8 +58,7 @@ impl Projection {
         let grid_px = (GRID_MAX / SUBPIXELS) as f64 * 0.99;
         Self {
             size: view.size,
-            clip_from_eye: [row(0), row(1), row(3)],
-            near: m[3][2],
+            clip_from_eye: [row(0), row(1), row(3), row(2)],
             half,
             guard: half.map(|half| grid_px / half - 1.0),
         }
@@ -70,13 +69,15 @@ impl Projection {
         apply(&self.clip_from_eye, p)
     }
 
-    /// The map from a draw's vertex grid.
-    pub(super) fn clip_from_grid(&self, draw: &Draw) -> Rows {
+    /// The map from a draw's vertex grid. The weight of a point of a projected one is its disparity.
+    pub(super) fn clip_from_grid(&self, draw: &Draw, is_projected: bool) -> Rows {
         let columns = [draw.linear[0], draw.linear[1], draw.linear[2], draw.offset];
+        let (carrier, weight) =
+            if is_projected { (2, f64::from(draw.disparity_step)) } else { (3, 1.0) };
         self.clip_from_eye.map(|row| {
             let mut combined =
                 columns.map(|column| (0..3).map(|k| row[k] * f64::from(column[k])).sum::<f64>());
-            combined[3] += row[3];
+            combined[carrier] += row[3] * weight;
             combined
         })
     }
@@ -89,14 +90,14 @@ impl Projection {
 
     /// Rows of the inverse of clip (x, y, w) from eye; all zero where there is none.
     pub(super) fn eye_from_clip(&self) -> [[f64; 3]; 3] {
-        let [x, y, w] = self.clip_from_eye.map(|[a, b, c, _]| [a, b, c]);
+        let [x, y, w, _] = self.clip_from_eye.map(|[a, b, c, _]| [a, b, c]);
         let columns = [cross(y, w), cross(w, x), cross(x, y)];
         let determinant = dot(x, columns[0]);
         let scale = if determinant == 0.0 { 0.0 } else { 1.0 / determinant };
         std::array::from_fn(|r| std::array::from_fn(|c| columns[c][r] * scale))
     }
 
-    pub(super) fn place(&self, [x, y, w]: Clip) -> Placed {
+    pub(super) fn place(&self, [x, y, w, z]: Clip) -> Placed {
         let bit = |condition: bool, bit: u8| if condition { bit } else { 0 };
         // NaN fails every comparison and so lands outside the near plane.
         let in_guard = x.abs() <= self.guard[0] * w && y.abs() <= self.guard[1] * w;
@@ -104,13 +105,13 @@ impl Projection {
             | bit(x > w, RIGHT)
             | bit(y < -w, BOTTOM)
             | bit(y > w, TOP)
-            | bit(w.is_nan() || w < self.near, NEAR)
+            | bit(w.is_nan() || w < z, NEAR)
             | bit(!in_guard, GUARD);
         let reciprocal = 1.0 / w;
         let screen = ScreenVertex {
             x: on_grid(self.half[0] * (1.0 + x * reciprocal)),
             y: on_grid(self.half[1] * (1.0 - y * reciprocal)),
-            z: self.near * reciprocal,
+            z: z * reciprocal,
         };
         Placed { screen, code }
     }
@@ -143,8 +144,8 @@ impl Projection {
     /// Sutherland and Hodgman 1974, against the near plane and the grid's borders.
     fn clip_polygon(&self, corners: [Clip; 3]) -> Vec<Clip> {
         let [gx, gy] = self.guard;
-        let planes: [[f64; 4]; 5] = [
-            [0.0, 0.0, 1.0, -self.near],
+        let planes: [Clip; 5] = [
+            [0.0, 0.0, 1.0, -1.0],
             [1.0, 0.0, gx, 0.0],
             [-1.0, 0.0, gx, 0.0],
             [0.0, 1.0, gy, 0.0],
@@ -154,8 +155,8 @@ impl Projection {
         if !corners.as_flattened().iter().all(|c| c.is_finite()) {
             polygon.clear();
         }
-        for [nx, ny, nw, offset] in planes {
-            let side = |[x, y, w]: Clip| nx * x + ny * y + nw * w + offset;
+        for [nx, ny, nw, nz] in planes {
+            let side = |[x, y, w, z]: Clip| nx * x + ny * y + nw * w + nz * z;
             let mut kept = Vec::with_capacity(polygon.len() + 1);
             for (i, &here) in polygon.iter().enumerate() {
                 let next = polygon[(i + 1) % polygon.len()];
@@ -276,11 +277,33 @@ mod tests {
             linear: [[2.0, 0.0, 0.0], [0.0, 3.0, 1.0], [0.0, 0.0, 4.0]],
             offset: [10.0, 20.0, 30.0],
             distance: 0.0,
+            disparity_step: 0.0,
         };
         let projection = projection();
         let direct = projection.clip([12.0, 23.0, 35.0]);
-        assert_eq!(apply(&projection.clip_from_grid(&draw), [1.0, 1.0, 1.0]), direct);
-        let back = projection.eye_from_clip().map(|row| dot(row, direct));
-        assert_eq!(back, [12.0, 23.0, 35.0]);
+        assert_eq!(apply(&projection.clip_from_grid(&draw, false), [1.0, 1.0, 1.0]), direct);
+        let [x, y, w, z] = direct;
+        let back = projection.eye_from_clip().map(|row| dot(row, [x, y, w]));
+        assert_eq!((back, z), ([12.0, 23.0, 35.0], 0.5));
+        // The same coordinates of a projected one are those of a point at 1/8 of the distance.
+        let draw = Draw { disparity_step: 8.0, ..draw };
+        let weighted = apply(&projection.clip_from_grid(&draw, true), [1.0, 1.0, 1.0]);
+        assert_eq!(weighted, [x, y, w, 8.0 * 0.5]);
+    }
+
+    #[test]
+    fn a_corner_at_infinity_has_a_place_and_no_depth() {
+        let projection = projection();
+        let placed = projection.place([1.0, 0.5, 2.0, 0.0]);
+        let near = projection.place([0.5, 0.25, 1.0, 0.5]);
+        assert!(
+            placed.on_grid()
+                && (placed.screen.x, placed.screen.y) == (near.screen.x, near.screen.y)
+        );
+        assert_eq!((placed.screen.z, near.screen.z), (0.0, 0.5));
+        let nearer = [0.0, 0.0, 0.4, 0.5];
+        for nowhere in [nearer, [0.0, 0.0, -1.0, 0.0], [1.0, 0.0, 0.0, 0.0], [f64::NAN; 4]] {
+            assert!(!projection.place(nowhere).on_grid(), "{nowhere:?}");
+        }
     }
 }

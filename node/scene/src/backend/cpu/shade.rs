@@ -3,11 +3,13 @@
 //! Attributes are interpolated with perspective from barycentric coordinates of the pixel's ray in clip
 //! space (Olano and Greer 1997), so no clipped triangle needs attributes of its own.
 
+use super::face::Face;
 use super::mesh::{Mesh, Texturing};
 use super::project::{Projection, Rows, apply, cross, dot};
 use super::texture::{Footprint, Textures};
 use crate::backend::{Draw, light};
 use protocol::format::Vertex;
+use protocol::format::projected::SUBPIXELS;
 
 /// sRGB encoding of linear values to 8 bits, rounded to nearest.
 pub(super) struct SrgbEncoder {
@@ -57,20 +59,34 @@ pub(super) struct Placement {
 }
 
 impl Placement {
-    pub(super) fn new(projection: &Projection, draw: &Draw) -> Self {
+    pub(super) fn new(projection: &Projection, draw: &Draw, is_projected: bool) -> Self {
         let [x, y, z] = draw.linear.map(|column| column.map(f64::from));
         Self {
-            clip_from_grid: projection.clip_from_grid(draw),
+            clip_from_grid: projection.clip_from_grid(draw, is_projected),
             normal_from_mesh: [cross(y, z), cross(z, x), cross(x, y)],
         }
     }
 }
 
 /// A triangle, ready to be shaded at any pixel.
-pub(super) struct Surface {
-    /// Normals of the planes through the eye and an edge, in clip space: their products with a ray are
-    /// in proportion to the barycentric coordinates.
-    edges: [[f64; 3]; 3],
+pub(super) struct Surface<'a> {
+    edges: Edges,
+    look: Look<'a>,
+}
+
+/// Normals of the planes through the eye and an edge, in clip space: their products with a ray are in
+/// proportion to the barycentric coordinates.
+struct Edges([[f64; 3]; 3]);
+
+/// What a triangle's corners carry.
+enum Look<'a> {
+    /// Colours that wait for light.
+    Lit(Lit),
+    /// Places in a picture that has all its light, in pixels.
+    Projected([[f32; 2]; 3], &'a Face),
+}
+
+struct Lit {
     normals: [[f32; 3]; 3],
     /// With alpha.
     colors: [[f32; 4]; 3],
@@ -87,12 +103,53 @@ pub(super) struct Pixel {
     pub(super) block: [[f64; 2]; 2],
 }
 
-impl Surface {
-    pub(super) fn new(placement: &Placement, mesh: &Mesh, triangle: usize) -> Self {
+impl<'a> Surface<'a> {
+    pub(super) fn new(placement: &Placement, mesh: &'a Mesh, triangle: usize) -> Self {
         let indices = mesh.triangles[triangle].map(usize::from);
+        let grid = indices.map(|i| mesh.grid(i));
+        let [a, b, c] = grid.map(|grid| {
+            let [x, y, w, _] = apply(&placement.clip_from_grid, grid);
+            [x, y, w]
+        });
+        let look = match &mesh.face {
+            None => Look::Lit(Lit::new(placement, mesh, indices)),
+            Some(face) => {
+                let pixels = |c: f64| (c / f64::from(SUBPIXELS)) as f32;
+                Look::Projected(grid.map(|[u, v, _]| [pixels(u), pixels(v)]), face)
+            }
+        };
+        Self { edges: Edges([cross(b, c), cross(c, a), cross(a, b)]), look }
+    }
+
+    /// Whether a masked triangle is there.
+    pub(super) fn is_there(&self, textures: &Textures, pixel: Pixel) -> bool {
+        let Look::Lit(lit) = &self.look else { return true };
+        let cutoff = lit.texturing.as_ref().map_or(0.0, |corners| corners[0].cutoff);
+        lit.base(&self.edges, textures, pixel)[3] >= cutoff
+    }
+
+    /// Linear colour, lit, and alpha, seen along `ray` (eye-relative, any length).
+    pub(super) fn color(&self, textures: &Textures, pixel: Pixel, ray: [f64; 3]) -> [f32; 4] {
+        match &self.look {
+            Look::Lit(lit) => lit.color(&self.edges, textures, pixel, ray),
+            Look::Projected(corners, face) => {
+                let place = blend(corners, barycentric(self.edges.products(pixel.center)));
+                let [r, g, b] = face.sample(textures, place);
+                [r, g, b, 1.0]
+            }
+        }
+    }
+}
+
+impl Edges {
+    fn products(&self, [x, y]: [f64; 2]) -> [f64; 3] {
+        self.0.map(|edge| dot(edge, [x, y, 1.0]))
+    }
+}
+
+impl Lit {
+    fn new(placement: &Placement, mesh: &Mesh, indices: [usize; 3]) -> Self {
         let corners = indices.map(|i| mesh.vertices[i]);
-        let [a, b, c] =
-            corners.map(|vertex| apply(&placement.clip_from_grid, vertex.grid().map(f64::from)));
         let [x, y, z] = placement.normal_from_mesh;
         let normal = |vertex: Vertex| {
             let n = Vertex::unpack_normal(vertex.normal).map(f64::from);
@@ -101,24 +158,19 @@ impl Surface {
         };
         let texturing = || indices.map(|i| mesh.texturing[i]);
         Self {
-            edges: [cross(b, c), cross(c, a), cross(a, b)],
             normals: corners.map(normal),
             colors: corners.map(|vertex| vertex.color.to_le_bytes().map(|c| f32::from(c) / 255.0)),
             texturing: (!mesh.texturing.is_empty()).then(texturing),
         }
     }
 
-    fn products(&self, [x, y]: [f64; 2]) -> [f64; 3] {
-        self.edges.map(|edge| dot(edge, [x, y, 1.0]))
-    }
-
     /// Linear colour and alpha before any light.
-    fn base(&self, textures: &Textures, pixel: Pixel) -> [f32; 4] {
-        let color = blend(&self.colors, barycentric(self.products(pixel.center)));
+    fn base(&self, edges: &Edges, textures: &Textures, pixel: Pixel) -> [f32; 4] {
+        let color = blend(&self.colors, barycentric(edges.products(pixel.center)));
         let Some(corners) = &self.texturing else { return color };
         // Off the triangle too: its plane goes on, where the nearest corner would shorten the step.
         let tex_coord = |center: [f64; 2]| -> [f64; 2] {
-            let products = self.products(center);
+            let products = edges.products(center);
             let sum: f64 = products.iter().sum();
             std::array::from_fn(|k| {
                 (0..3).map(|i| products[i] / sum * f64::from(corners[i].tex_coord[k])).sum()
@@ -139,21 +191,15 @@ impl Surface {
         std::array::from_fn(|k| color[k] * texture[k])
     }
 
-    /// Whether a masked triangle is there.
-    pub(super) fn is_there(&self, textures: &Textures, pixel: Pixel) -> bool {
-        let cutoff = self.texturing.as_ref().map_or(0.0, |corners| corners[0].cutoff);
-        self.base(textures, pixel)[3] >= cutoff
-    }
-
-    /// Linear colour, lit, and alpha, seen along `ray` (eye-relative, any length).
-    pub(super) fn color(&self, textures: &Textures, pixel: Pixel, ray: [f64; 3]) -> [f32; 4] {
-        let weights = barycentric(self.products(pixel.center));
+    /// Linear colour, lit, and alpha.
+    fn color(&self, edges: &Edges, textures: &Textures, pixel: Pixel, ray: [f64; 3]) -> [f32; 4] {
+        let weights = barycentric(edges.products(pixel.center));
         let mut normal = unit(blend(&self.normals, weights).map(f64::from));
         if dot(normal, ray) > 0.0 {
             normal = normal.map(|c| -c);
         }
         let light = light::intensity(normal.map(|c| c as f32));
-        let [r, g, b, alpha] = self.base(textures, pixel);
+        let [r, g, b, alpha] = self.base(edges, textures, pixel);
         [r * light, g * light, b * light, alpha]
     }
 }

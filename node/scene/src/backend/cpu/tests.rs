@@ -1,6 +1,7 @@
 use super::super::{Draws, NO_ITEM, light};
 use super::*;
-use protocol::format::{Class, Vertex};
+use protocol::format::vertex::Layout;
+use protocol::format::{Class, Vertex, projected};
 use protocol::id::HlodId;
 use protocol::settings::Cull;
 
@@ -45,6 +46,7 @@ fn filling(blob: u32, item: u32, cells: u32, z: f32, size: PictureSize) -> Draw 
         linear: [[x / cells as f32, 0.0, 0.0], [0.0, y / cells as f32, 0.0], [0.0, 0.0, 1.0]],
         offset: [-x / 2.0, -y / 2.0, z],
         distance: z,
+        disparity_step: 0.0,
     }
 }
 
@@ -165,4 +167,103 @@ fn an_evicted_mesh_cannot_be_drawn() {
     backend.evict(BlobId(0));
     let draws = vec![filling(0, 4, 1, 2.0, SIZE)];
     let _ = backend.submit(items(view(SIZE), draws));
+}
+
+/// Pixels of a face's side: one tile.
+const SIDE: u32 = projected::TILE;
+/// Disparity of a unit of its grid.
+const STEP: f32 = 1.0 / 1024.0;
+
+/// A square of a face from row `top` down, its disparity there and at the lower edge; a noisy picture.
+fn face(top: u32, disparities: [u32; 2]) -> (Blob, Vec<u8>) {
+    let (full, [above, below]) = (SIDE * projected::SUBPIXELS, disparities);
+    let corners = [[0, top, above], [full, top, above], [0, full, below], [full, full, below]];
+    let mut bytes: Vec<u8> = corners
+        .map(Vertex::pack_position)
+        .as_flattened()
+        .iter()
+        .flat_map(|w| w.to_le_bytes())
+        .collect();
+    bytes.extend([0u16, 2, 1, 1, 2, 3].iter().flat_map(|index| index.to_le_bytes()));
+    bytes.extend(1u32.to_le_bytes());
+    bytes.extend(
+        (0..projected::TILE_BYTES as u32).map(|i| (i.wrapping_mul(2_654_435_761) >> 13) as u8),
+    );
+    let (classes, layout) = (Class::OpaqueDouble.all(2), Layout::Projected as u32);
+    let image = [SIDE, 1];
+    (Blob { vertices: 4, triangles: 2, classes, layout, image, ..Blob::default() }, bytes)
+}
+
+/// The face that looks along +z from a sample at `c`, x to its right.
+fn seen_from(c: [f32; 3]) -> Draw {
+    let unit = 2.0 / (SIDE * projected::SUBPIXELS) as f32;
+    Draw {
+        blob: BlobId(0),
+        item: HlodId(0),
+        linear: [[unit, 0.0, 0.0], [0.0, -unit, 0.0], c.map(|c| c * STEP)],
+        offset: [-1.0, 1.0, 1.0],
+        distance: 1.0,
+        disparity_step: STEP,
+    }
+}
+
+#[test]
+fn a_face_is_its_picture_to_the_eye_that_took_it() {
+    let size = PictureSize { width: SIDE, height: SIDE };
+    for disparities in [[512, 512], [0, 0], [40, 900]] {
+        let (blob, bytes) = face(0, disparities);
+        let mut backend = CpuBackend::new(size);
+        assert_eq!(backend.upload(BlobId(0), &blob, &bytes).unwrap(), Upload::Done);
+        assert_eq!(backend.held_bytes(), bytes.len() as u64);
+        let pass = shade(view(size), vec![seen_from([0.0; 3])], true);
+        let Completion::Picture { picture, .. } = run(&mut backend, pass) else { panic!() };
+        let parts = projected::Face::of(&blob, &bytes);
+        for (at, rgba) in (0..).zip(picture.rgba.chunks(4)) {
+            let expected = parts.pixel(at % SIDE, at / SIDE);
+            assert!(rgba.iter().zip(&expected).all(|(a, b)| a.abs_diff(*b) <= 1), "{at}");
+        }
+        let [above, below] = disparities.map(|disparity| disparity as f32 * STEP * 0.1);
+        for (at, z) in (0..).zip(picture.depth.unwrap()) {
+            let share = (f32::from(at / SIDE as u16) + 0.5) / SIDE as f32;
+            assert!((z - above - (below - above) * share).abs() < 1e-6, "{at}: {z}");
+        }
+    }
+}
+
+#[test]
+fn a_face_reaches_from_behind_the_eye_to_the_horizon() {
+    // The plane 1 below the sample: half of its picture, from infinity to a distance of 1. The eye went
+    // on by 3.
+    let (blob, bytes) = face(SIDE * projected::SUBPIXELS / 2, [0, 1024]);
+    let square = PictureSize { width: 40, height: 40 };
+    let mut backend = CpuBackend::new(square);
+    assert_eq!(backend.upload(BlobId(0), &blob, &bytes).unwrap(), Upload::Done);
+    let pass = shade(view(square), vec![seen_from([0.0, 0.0, -3.0])], true);
+    let Completion::Picture { picture, .. } = run(&mut backend, pass) else { panic!() };
+    for (at, z) in (0..).zip(picture.depth.unwrap()) {
+        let ndc_y = 1.0 - (f32::from(at / 40u16) + 0.5) / 20.0;
+        let expected = (0.1 * -ndc_y).max(0.0);
+        assert!((z - expected).abs() < 0.1 / 20.0 / 128.0, "{at}: {z} {expected}");
+    }
+}
+
+#[test]
+fn a_damaged_face_is_refused() {
+    let (blob, bytes) = face(0, [1, 1]);
+    let refused = |blob: Blob, bytes: &[u8]| {
+        let upload = CpuBackend::new(SIZE).upload(BlobId(0), &blob, bytes);
+        matches!(upload, Err(BackendError::Device(_)))
+    };
+    assert!(!refused(blob, &bytes));
+    assert!(refused(blob, &bytes[..bytes.len() - 1]));
+    for image in [[0, 1], [24, 1], [32, 1], [16, 2], [8192, 1]] {
+        assert!(refused(Blob { image, ..blob }, &bytes), "{image:?}");
+    }
+    assert!(refused(Blob { classes: Class::MaskDouble.all(2), ..blob }, &bytes));
+    let mut wild = bytes.clone();
+    wild[4 * 8 + 2 * 6] = 2;
+    assert!(refused(blob, &wild), "a tile that is not stored");
+    wild = bytes;
+    wild[4 * 8] = 4;
+    assert!(refused(blob, &wild), "a vertex that is not there");
 }

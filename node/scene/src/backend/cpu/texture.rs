@@ -57,6 +57,11 @@ impl Textures {
         Ok(())
     }
 
+    /// Linear values of an sRGB-encoded colour.
+    pub(super) fn linear(&self, rgb: [u8; 3]) -> [f32; 3] {
+        rgb.map(|code| self.linear[usize::from(code)])
+    }
+
     /// Linear colour and alpha; white where there is no such texture.
     pub(super) fn sample(&self, index: u32, footprint: &Footprint) -> [f32; 4] {
         let Some(texture) = self.all.get(index as usize) else { return [1.0; 4] };
@@ -90,7 +95,7 @@ impl Textures {
         let before = (4 * texture.side * texture.side - 4 * side * side) / 3;
         let pixel = |x: u32, y: u32| {
             let [r, g, b, a] = texture.pixels[(before + y * side + x) as usize];
-            let [r, g, b] = [r, g, b].map(|code| self.linear[usize::from(code)]);
+            let [r, g, b] = self.linear([r, g, b]);
             [r, g, b, f32::from(a) / 255.0]
         };
         let upper = mix(pixel(x0, y0), pixel(x1, y0), fx);

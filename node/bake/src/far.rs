@@ -1,0 +1,402 @@
+//! Far fields for a scene that is baked: samples, cubes, and the file with both (paper 000).
+//!
+//! The scene file is read through its store and written anew beside it, geometry and textures as they
+//! are, cubes behind the geometry. The bytes depend on the scene, the settings and the renderer that takes the
+//! samples, never on the number of threads.
+
+use crate::progress::Progress;
+use farfield::capture::{CaptureError, Studio};
+pub use farfield::cells::CELL_TRIANGLES as DEFAULT_CELL_TRIANGLES;
+use farfield::cells::{Cell, Division, cells_along, up_axis};
+use farfield::cube::{BakedCube, BakedFace, Viewpoints};
+use farfield::placement::{self, Region, Source};
+use farfield::sample::Sample;
+use farfield::{itdm, tdm};
+use glam::DVec3;
+use protocol::format::projected::NewFace;
+use protocol::format::{
+    Cube, Method, NONE, SceneWriter, Skeleton, Tables, Vertex, ViewCell, WriteError,
+};
+use protocol::message::FailureKind;
+use scene::backend::{Backend, BackendError};
+use scene::store::{OpenError, Store, StoreError};
+use serde::Serialize;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+/// Near plane of samples, as a share of the scene's diagonal: that of pictures.
+const NEAR_OF_DIAGONAL: f64 = 1e-4;
+
+/// What is made.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Settings {
+    /// Tdm or Itdm.
+    pub method: Method,
+    /// Viewpoints that are to lie in a cell with a far field, scene units.
+    pub viewpoints: Vec<DVec3>,
+    /// How the scene is divided into cells.
+    pub division: Division,
+    /// Cells hold viewpoints at all heights, not only at that of those given.
+    pub in_space: bool,
+    /// Pixels along a side of a face.
+    pub side: u32,
+    /// Likewise while viewpoints for samples are looked for.
+    pub search_side: u32,
+    /// Void surface that may be seen from anywhere, steradians.
+    pub epsilon_sr: f64,
+    /// Most samples of a cell.
+    pub samples: usize,
+    /// Error of meshes, pixels of a face.
+    pub tolerance_px: f64,
+    /// Every cube is whole: what the removal of redundant points is measured against.
+    pub all_intra: bool,
+}
+
+impl Settings {
+    /// The paper's, for viewpoints: 512x512 faces, 0.2 steradians, half a pixel.
+    pub fn new(method: Method, viewpoints: Vec<DVec3>) -> Self {
+        Self {
+            method,
+            viewpoints,
+            division: Division::default(),
+            in_space: false,
+            side: 512,
+            search_side: 128,
+            epsilon_sr: 0.2,
+            samples: 16,
+            tolerance_px: 0.5,
+            all_intra: false,
+        }
+    }
+
+    /// Digest of a scene made with these from one with the key `of`.
+    fn key(&self, of: [u8; 32]) -> [u8; 32] {
+        let mut hasher = blake3::Hasher::new();
+        hasher.update(&of).update(format!("{self:?}").as_bytes());
+        hasher.finalize().into()
+    }
+}
+
+/// Why there is no far field.
+#[derive(Debug, thiserror::Error)]
+pub enum FarError {
+    /// The scene cannot be opened.
+    #[error(transparent)]
+    Open(#[from] OpenError),
+    /// No viewpoint lies in the scene.
+    #[error("{}: none of the viewpoints lies inside the scene's box; give a path through it", .0.display())]
+    Nowhere(PathBuf),
+    /// No samples can be taken.
+    #[error(transparent)]
+    Capture(#[from] CaptureError),
+    /// Something of the scene is damaged.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+    /// The file cannot be written.
+    #[error(transparent)]
+    Write(#[from] WriteError),
+}
+
+impl FarError {
+    /// The class, which decides the exit code.
+    pub fn kind(&self) -> FailureKind {
+        match self {
+            Self::Open(error) => scene::store::failure_kind(error),
+            Self::Nowhere(_) => FailureKind::BadData,
+            Self::Capture(CaptureError::NoRoom(_)) => FailureKind::Config,
+            Self::Capture(CaptureError::Backend(_)) => FailureKind::Unavailable,
+            Self::Capture(CaptureError::Store(error)) | Self::Store(error) => error.kind(),
+            Self::Write(_) => FailureKind::Io,
+        }
+    }
+}
+
+/// What was made of one cell.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct CellSummary {
+    /// Least corner.
+    pub min: [f64; 3],
+    /// Greatest corner.
+    pub max: [f64; 3],
+    /// Its far field is worth cubes.
+    pub kept: bool,
+    /// Samples.
+    pub samples: usize,
+    /// Greatest void surface seen from any candidate after the corners, then after each further
+    /// sample, steradians.
+    pub objective: Vec<f64>,
+    /// Points of all samples.
+    pub points: u64,
+    /// Of those, removed.
+    pub redundant: u64,
+    /// Triangles of all cubes.
+    pub triangles: u64,
+    /// Triangles of the far field's front at one pixel of error, all around, from the first viewpoint.
+    pub geometry_triangles: u64,
+    /// Triangles of the source in the near field.
+    pub near_triangles: u64,
+    /// Bytes of all faces.
+    pub bytes: u64,
+    /// Seconds spent placing, sampling and encoding.
+    pub seconds: [f64; 3],
+}
+
+/// What was made.
+#[derive(Debug, Clone, Default, PartialEq, Serialize)]
+pub struct FarSummary {
+    /// By cell.
+    pub cells: Vec<CellSummary>,
+    /// Bytes of the file.
+    pub file_bytes: u64,
+}
+
+impl std::fmt::Display for FarSummary {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        for (at, cell) in self.cells.iter().enumerate() {
+            let [least, most] =
+                [cell.min, cell.max].map(|c| c.map(|c| format!("{c:.1}")).join(" "));
+            writeln!(f, "cell {at:<10} {least} to {most}, {} triangles near", cell.near_triangles)?;
+            let shown: Vec<String> = cell.objective.iter().map(|sr| format!("{sr:.2}")).collect();
+            writeln!(f, "  samples       {}, unseen sr {}", cell.samples, shown.join(" "))?;
+            let removed = 100.0 * cell.redundant as f64 / cell.points.max(1) as f64;
+            writeln!(f, "  points        {}, {removed:.1}% redundant", cell.points)?;
+            let fate = if cell.kept { "kept" } else { "geometry is cheaper: left out" };
+            writeln!(
+                f,
+                "  triangles     {} in cubes, {} as geometry: {fate}",
+                cell.triangles, cell.geometry_triangles
+            )?;
+            let [place, sample, encode] = cell.seconds;
+            writeln!(
+                f,
+                "  bytes         {}; seconds: place {place:.1}, sample {sample:.1}, encode {encode:.1}",
+                cell.bytes
+            )?;
+        }
+        write!(f, "file            {} bytes", self.file_bytes)
+    }
+}
+
+/// Makes renderers for square pictures.
+pub type MakeBackend<'a> = dyn FnMut(u32) -> Result<Box<dyn Backend>, BackendError> + 'a;
+
+/// Adds far fields to the scene at `input`, in place of any it has, and writes `output`.
+pub fn add_far(
+    input: &Path,
+    output: &Path,
+    settings: &Settings,
+    make_backend: &mut MakeBackend<'_>,
+    progress: &dyn Progress,
+) -> Result<FarSummary, FarError> {
+    let store = Store::open(input)?;
+    let skeleton = store.skeleton();
+    let cells = cells_along(skeleton, &settings.viewpoints, &settings.division);
+    if cells.is_empty() {
+        return Err(FarError::Nowhere(input.to_owned()));
+    }
+    let near_plane = (NEAR_OF_DIAGONAL * skeleton.diagonal()) as f32;
+    let mut studio = |side: u32| -> Result<Studio<'_>, FarError> {
+        let backend = make_backend(side).map_err(CaptureError::from)?;
+        Ok(Studio::new(&store, backend, side, near_plane)?)
+    };
+    let mut search = studio(settings.search_side)?;
+    let mut fine = studio(settings.side)?;
+    let mut file = FarFile::begin(&store, output)?;
+    let mut summary = FarSummary::default();
+    progress.stage("cells", cells.len() as u64);
+    for cell in &cells {
+        let made = far_field(cell, settings, skeleton, &mut search, &mut fine)?;
+        summary.cells.push(file.add(made, settings)?);
+        progress.advance(1);
+    }
+    progress.finish();
+    summary.file_bytes = file.finish(settings.key(skeleton.info.key))?;
+    Ok(summary)
+}
+
+/// A cell's cubes before they are written.
+struct FarFieldOf {
+    cubes: Vec<BakedCube>,
+    summary: CellSummary,
+}
+
+fn far_field(
+    cell: &Cell,
+    settings: &Settings,
+    skeleton: &Skeleton,
+    search: &mut Studio<'_>,
+    fine: &mut Studio<'_>,
+) -> Result<FarFieldOf, FarError> {
+    let region = region(cell, settings, up_axis(skeleton));
+    let viewpoints = Viewpoints { min: cell.min, max: cell.max };
+    let placing = Instant::now();
+    let (eyes, objective) = match settings.method {
+        Method::Tdm => (region.grid(1), Vec::new()),
+        _ => {
+            let how = placement::Settings {
+                epsilon_sr: settings.epsilon_sr,
+                budget: settings.samples,
+                ..placement::Settings::default()
+            };
+            let mut source = OfCell { studio: search, cell };
+            let placed = placement::place(&region, &how, &mut source)?;
+            let eyes = placed.samples.iter().map(|(sample, _)| sample.eye).collect();
+            (eyes, placed.worst_sr)
+        }
+    };
+    let placed = placing.elapsed().as_secs_f64();
+    let sampling = Instant::now();
+    let samples = eyes
+        .iter()
+        .map(|&eye| fine.sample(eye, &cell.near))
+        .collect::<Result<Vec<Sample>, CaptureError>>()?;
+    let geometry_triangles = fine.triangles(eyes[0], &cell.near);
+    let sampled = sampling.elapsed().as_secs_f64();
+    let encoding = Instant::now();
+    let (cubes, points, redundant) = match settings.method {
+        Method::Tdm => (vec![tdm::encode(&samples[0], &viewpoints, settings.tolerance_px)], 0, 0),
+        _ => {
+            let tolerance = settings.tolerance_px;
+            let encoded = itdm::encode(&samples, &viewpoints, tolerance, settings.all_intra);
+            (encoded.cubes, encoded.points, encoded.redundant)
+        }
+    };
+    let summary = CellSummary {
+        min: cell.min.to_array(),
+        max: cell.max.to_array(),
+        kept: true,
+        samples: eyes.len(),
+        objective,
+        points,
+        redundant,
+        triangles: cubes.iter().map(BakedCube::triangles).sum(),
+        geometry_triangles,
+        near_triangles: cell.near.triangles(skeleton),
+        bytes: 0,
+        seconds: [placed, sampled, encoding.elapsed().as_secs_f64()],
+    };
+    Ok(FarFieldOf { cubes, summary })
+}
+
+/// Where samples may be taken: at the height of the viewpoints given, or anywhere.
+fn region(cell: &Cell, settings: &Settings, up: usize) -> Region {
+    if settings.in_space {
+        return Region::Box { min: cell.min, max: cell.max };
+    }
+    let heights = cell.viewpoints.iter().map(|viewpoint| viewpoint[up]);
+    let height = heights.sum::<f64>() / cell.viewpoints.len() as f64;
+    let (mut min, mut max) = (cell.min, cell.max);
+    (min[up], max[up]) = (height, height);
+    Region::Rectangle { min, max, up }
+}
+
+/// Samples of one cell's far field.
+struct OfCell<'s, 'a> {
+    studio: &'s mut Studio<'a>,
+    cell: &'s Cell,
+}
+
+impl Source for OfCell<'_, '_> {
+    type Error = CaptureError;
+
+    fn sample(&mut self, eye: DVec3) -> Result<Sample, CaptureError> {
+        self.studio.sample(eye, &self.cell.near)
+    }
+}
+
+/// The file with far fields while it is written.
+struct FarFile<'a> {
+    store: &'a Store,
+    writer: SceneWriter,
+    /// By blob of the scene, its number in this file; none for cubes it had before.
+    blobs: Vec<u32>,
+    cells: Vec<ViewCell>,
+    cubes: Vec<Cube>,
+}
+
+impl<'a> FarFile<'a> {
+    fn begin(store: &'a Store, output: &Path) -> Result<Self, FarError> {
+        let mut writer = SceneWriter::create(output)?;
+        let mut blobs = Vec::new();
+        for (blob, id) in store.skeleton().blobs.iter().zip(0..) {
+            if blob.is_projected() {
+                blobs.push(NONE);
+                continue;
+            }
+            let bytes = store.load_blob(protocol::id::BlobId(id))?;
+            blobs.push(writer.copy_blob(blob, &bytes)?.0);
+        }
+        Ok(Self { store, writer, blobs, cells: Vec::new(), cubes: Vec::new() })
+    }
+
+    /// Writes a cell's cubes, or notes that its far field is cheaper as geometry.
+    fn add(&mut self, made: FarFieldOf, settings: &Settings) -> Result<CellSummary, FarError> {
+        let mut summary = made.summary;
+        // What is drawn from one place is some of the cubes, and what is in the frustum of either.
+        let intra = made.cubes[0].triangles();
+        summary.kept = intra < summary.geometry_triangles;
+        let first_cube = self.cubes.len() as u32;
+        let cubes = if summary.kept { &made.cubes[..] } else { &[] };
+        for cube in cubes {
+            let mut faces = [NONE; 6];
+            for (face, number) in cube.faces.iter().zip(&mut faces) {
+                let Some(face) = face else { continue };
+                *number = self.add_face(face, settings.side)?;
+                summary.bytes += self.writer.blob(protocol::id::BlobId(*number)).bytes;
+            }
+            self.cubes.push(Cube {
+                eye: cube.eye.to_array(),
+                faces,
+                parent: cube.parent.map_or(NONE, |parent| first_cube + parent as u32),
+                triangles: cube.triangles() as u32,
+            });
+        }
+        self.cells.push(ViewCell {
+            min: summary.min,
+            max: summary.max,
+            first_cube,
+            cube_count: cubes.len() as u32,
+            method: if summary.kept { settings.method } else { Method::None } as u32,
+            reserved: 0,
+            objective: summary.objective.last().copied().unwrap_or(0.0),
+        });
+        Ok(summary)
+    }
+
+    fn add_face(&mut self, face: &BakedFace, side: u32) -> Result<u32, FarError> {
+        let vertices: Vec<[u32; 2]> =
+            face.mesh.vertices.iter().map(|&grid| Vertex::pack_position(grid)).collect();
+        let indices: Vec<u16> =
+            face.mesh.triangles.as_flattened().iter().map(|&index| index as u16).collect();
+        let new = NewFace {
+            step: face.mesh.step,
+            side,
+            vertices: &vertices,
+            indices: &indices,
+            table: &face.picture.table,
+            tiles: face.picture.tiles.as_chunks().0,
+        };
+        Ok(self.writer.add_face(&new)?.0)
+    }
+
+    fn finish(mut self, key: [u8; 32]) -> Result<u64, FarError> {
+        let skeleton = self.store.skeleton();
+        for (texture, index) in skeleton.textures.iter().zip(0..) {
+            self.writer.copy_texture(texture, &self.store.load_texture(index)?)?;
+        }
+        let mut tables = Tables {
+            info: skeleton.info,
+            hlods: skeleton.hlods.clone(),
+            levels: skeleton.levels.clone(),
+            parts: skeleton.parts.clone(),
+            transforms: skeleton.transforms.clone(),
+            view_cells: self.cells,
+            cubes: self.cubes,
+        };
+        tables.info.key = key;
+        for part in &mut tables.parts {
+            part.blob = self.blobs[part.blob as usize];
+        }
+        Ok(self.writer.finish(tables)?.bytes)
+    }
+}

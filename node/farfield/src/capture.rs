@@ -1,0 +1,174 @@
+//! Takes samples through a backend (paper 000, section 3.1): six pictures with depth, of the far field
+//! alone, at less than half a pixel of error.
+
+use crate::sample::{FACES, FaceAxes, FacePicture, Sample};
+use glam::DVec3;
+use protocol::camera::Camera;
+use protocol::id::BlobId;
+use protocol::settings::PictureSize;
+use scene::backend::{Backend, BackendError, Completion, Draw, Draws, Part, Pass, Upload, View};
+use scene::draw_list::draw_list;
+use scene::front::{Field, front_of};
+use scene::near_field::NearField;
+use scene::residency::{Residency, Stamp};
+use scene::store::{Store, StoreError};
+
+/// Error of what a sample is taken of, pixels of its faces.
+pub const LOD_PX: f64 = 0.5;
+
+/// Why a sample cannot be taken.
+#[derive(Debug, thiserror::Error)]
+pub enum CaptureError {
+    /// The renderer gave up.
+    #[error(transparent)]
+    Backend(#[from] BackendError),
+    /// A mesh or texture cannot be read.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+    /// One mesh beside the textures is more than the backend may hold.
+    #[error("mesh {0} does not fit the memory that samples are taken in; raise --memory")]
+    NoRoom(BlobId),
+}
+
+/// A scene on a backend whose pictures are the faces of samples.
+pub struct Studio<'a> {
+    store: &'a Store,
+    backend: Box<dyn Backend + 'a>,
+    side: u32,
+    near_plane: f32,
+    residency: Residency,
+    now: Stamp,
+}
+
+impl<'a> Studio<'a> {
+    /// `backend` was made for square pictures of `side` pixels and holds nothing yet.
+    pub fn new(
+        store: &'a Store,
+        mut backend: Box<dyn Backend + 'a>,
+        side: u32,
+        near_plane: f32,
+    ) -> Result<Self, CaptureError> {
+        let skeleton = store.skeleton();
+        let load = |index| store.load_texture(index);
+        let mips: Vec<Vec<u8>> =
+            (0..skeleton.textures.len() as u32).map(load).collect::<Result<_, _>>()?;
+        let records = skeleton.textures.iter().zip(&mips);
+        let textures: Vec<_> = records.map(|(record, mips)| (*record, &mips[..])).collect();
+        if backend.upload_textures(&textures)? == Upload::Full {
+            return Err(CaptureError::NoRoom(BlobId(0)));
+        }
+        let residency = Residency::new(skeleton.blobs.len());
+        Ok(Self { store, backend, side, near_plane, residency, now: 0 })
+    }
+
+    /// What is seen from `eye` of all that is not `near`.
+    pub fn sample(&mut self, eye: DVec3, near: &NearField) -> Result<Sample, CaptureError> {
+        let nothing = || FacePicture { disparity: Vec::new(), color: Vec::new() };
+        let mut faces: [FacePicture; 6] = std::array::from_fn(|_| nothing());
+        for (face, axes) in faces.iter_mut().zip(FACES) {
+            *face = self.face(&self.camera(eye, &axes), near)?;
+        }
+        Ok(Sample { eye, side: self.side, faces })
+    }
+
+    /// Triangles that stand for the same as geometry at one pixel of error, in all directions.
+    pub fn triangles(&self, eye: DVec3, near: &NearField) -> u64 {
+        let skeleton = self.store.skeleton();
+        let size = PictureSize { width: self.side, height: self.side };
+        let of_face = |axes: &FaceAxes| -> u64 {
+            let camera = self.camera(eye, axes);
+            let front = front_of(skeleton, &camera, size, 1.0, Field::Far(near));
+            let levels = front.entries.iter().map(|entry| &skeleton.levels[entry.level as usize]);
+            levels.map(|level| u64::from(level.triangles)).sum()
+        };
+        FACES.iter().map(of_face).sum()
+    }
+
+    fn camera(&self, eye: DVec3, axes: &FaceAxes) -> Camera {
+        Camera {
+            eye: eye.to_array(),
+            forward: axes.forward.map(|c| c as f32),
+            up: axes.up.map(|c| c as f32),
+            tan_half_fov_y: 1.0,
+            near: self.near_plane,
+        }
+    }
+
+    fn face(&mut self, camera: &Camera, near: &NearField) -> Result<FacePicture, CaptureError> {
+        let skeleton = self.store.skeleton();
+        let size = PictureSize { width: self.side, height: self.side };
+        let front = front_of(skeleton, camera, size, LOD_PX, Field::Far(near));
+        let draws = draw_list(skeleton, &front.entries, camera.eye);
+        self.now += 1;
+        let view = View::new(camera, size);
+        let mut pending = Pending { draws: Draws::default(), opens: true };
+        for (list, blends) in [(draws.solid, false), (draws.blending, true)] {
+            for run in list.chunk_by(|a, b| a.blob == b.blob) {
+                self.hold(run[0].blob, view, &mut pending)?;
+                pending.push(run, blends);
+            }
+        }
+        self.backend.submit(pending.pass(view, true))?;
+        let mut completions = Vec::new();
+        while completions.is_empty() {
+            self.backend.poll(&mut completions)?;
+        }
+        let Some(Completion::Picture { picture, .. }) = completions.pop() else {
+            unreachable!("a picture answers as such")
+        };
+        let depth = picture.depth.expect("it was asked for");
+        let color = picture.rgba.as_chunks::<4>().0.iter().map(|&[r, g, b, _]| [r, g, b]).collect();
+        Ok(FacePicture { disparity: depth.iter().map(|d| d / self.near_plane).collect(), color })
+    }
+
+    /// Makes sure that a blob is there: at the cost of those this face does not use, else by drawing what
+    /// is pending and giving up what that used.
+    fn hold(
+        &mut self,
+        blob: BlobId,
+        view: View,
+        pending: &mut Pending,
+    ) -> Result<(), CaptureError> {
+        if self.residency.holds(blob) {
+            self.residency.touch(blob, self.now);
+            return Ok(());
+        }
+        let bytes = self.store.load_blob(blob)?;
+        let record = self.store.skeleton().blob(blob);
+        while self.backend.upload(blob, record, &bytes)? == Upload::Full {
+            let older = self.residency.older_than(self.now).next();
+            let victim = match older {
+                Some(victim) => victim,
+                None => {
+                    self.backend.submit(pending.pass(view, false))?;
+                    self.now += 1;
+                    let drawn = self.residency.older_than(self.now).next();
+                    drawn.ok_or(CaptureError::NoRoom(blob))?
+                }
+            };
+            self.backend.evict(victim);
+            self.residency.remove(victim);
+        }
+        self.residency.insert(blob, self.now, false);
+        Ok(())
+    }
+}
+
+/// Draws of a pass that have not been submitted.
+struct Pending {
+    draws: Draws,
+    opens: bool,
+}
+
+impl Pending {
+    fn push(&mut self, run: &[Draw], blends: bool) {
+        let list = if blends { &mut self.draws.blending } else { &mut self.draws.solid };
+        list.extend_from_slice(run);
+    }
+
+    /// The part of the pass that they are.
+    fn pass(&mut self, view: View, closes: bool) -> Pass {
+        let part = Part { opens: std::mem::take(&mut self.opens), closes };
+        Pass::Shade { view, draws: std::mem::take(&mut self.draws), with_depth: closes, part }
+    }
+}

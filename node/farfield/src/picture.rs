@@ -1,0 +1,178 @@
+//! The picture of a face as it is stored: the tiles that a mesh shows, in BC1.
+
+use crate::depth_mesh::simplify::FaceMesh;
+use crate::sample::FacePicture;
+use protocol::format::projected::{SUBPIXELS, TILE, TILE_BYTES};
+use texpresso::{Format, Params};
+
+/// A face's stored picture ([`protocol::format::projected`]).
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct StoredPicture {
+    /// By tile, 0 or 1 + its place among the stored.
+    pub table: Vec<u32>,
+    /// The stored tiles.
+    pub tiles: Vec<u8>,
+}
+
+/// Stores the tiles that triangles of `mesh` reach into. Pixels without a colour of their own take the one of
+/// a neighbour that has, so that a filter over the edge of what is shown finds nothing dark.
+pub fn stored_picture(picture: &FacePicture, side: u32, mesh: &FaceMesh) -> StoredPicture {
+    let across = side / TILE;
+    let mut is_shown = vec![false; (across * across) as usize];
+    for triangle in &mesh.triangles {
+        let corners = triangle.map(|v| mesh.vertices[v as usize]);
+        let tiles = |k: usize| {
+            let least = corners.iter().map(|c| c[k]).min().unwrap_or(0) / SUBPIXELS;
+            let most = corners.iter().map(|c| c[k]).max().unwrap_or(0).div_ceil(SUBPIXELS);
+            // A filter reaches half a pixel beyond.
+            least.saturating_sub(1) / TILE..(most / TILE + 1).min(across)
+        };
+        for row in tiles(1) {
+            for column in tiles(0) {
+                let reached = || meets(corners, [column, row]);
+                let shown = &mut is_shown[(row * across + column) as usize];
+                *shown = *shown || reached();
+            }
+        }
+    }
+    let mut stored = StoredPicture { table: vec![0; is_shown.len()], tiles: Vec::new() };
+    for (at, _) in is_shown.iter().enumerate().filter(|(_, shown)| **shown) {
+        stored.tiles.extend(tile(picture, side, [at as u32 % across, at as u32 / across]));
+        stored.table[at] = (stored.tiles.len() / TILE_BYTES) as u32;
+    }
+    stored
+}
+
+/// Whether a triangle comes within a pixel of a tile. Separating axes: the tile's own are known to overlap.
+fn meets(corners: [[u32; 3]; 3], tile: [u32; 2]) -> bool {
+    let corner = |c: [u32; 3]| [i64::from(c[0]), i64::from(c[1])];
+    let [a, b, c] = corners.map(corner);
+    let (unit, size) = (i64::from(SUBPIXELS), i64::from(TILE * SUBPIXELS));
+    let least = tile.map(|at| i64::from(at) * size - unit);
+    let most = tile.map(|at| (i64::from(at) + 1) * size + unit);
+    [(a, b, c), (b, c, a), (c, a, b)].into_iter().all(|(from, to, opposite)| {
+        let normal = [from[1] - to[1], to[0] - from[0]];
+        let along = |p: [i64; 2]| normal[0] * (p[0] - from[0]) + normal[1] * (p[1] - from[1]);
+        let inside = along(opposite).signum();
+        let box_corners = [least, [most[0], least[1]], [least[0], most[1]], most];
+        inside == 0 || box_corners.into_iter().any(|p| along(p) * inside >= 0)
+    })
+}
+
+/// One tile, 16 blocks row by row.
+fn tile(picture: &FacePicture, side: u32, [column, row]: [u32; 2]) -> Vec<u8> {
+    let colored = |x: u32, y: u32| {
+        let at = (y * side + x) as usize;
+        (picture.disparity[at] > 0.0).then(|| picture.color[at])
+    };
+    let mut rgba = Vec::with_capacity((TILE * TILE * 4) as usize);
+    for y in row * TILE..(row + 1) * TILE {
+        for x in column * TILE..(column + 1) * TILE {
+            let beside = || {
+                let near = |at: u32| at.saturating_sub(1)..(at + 2).min(side);
+                near(y).flat_map(|y| near(x).map(move |x| (x, y))).find_map(|(x, y)| colored(x, y))
+            };
+            let [r, g, b] = colored(x, y).or_else(beside).unwrap_or_default();
+            rgba.extend([r, g, b, 255]);
+        }
+    }
+    // BC1 has a mode of three colours and a hole, told by the order of the end points, which a face knows
+    // nothing of. The colour half of a BC3 block, the second, is never in that mode.
+    let mut blocks = vec![0; 2 * TILE_BYTES];
+    Format::Bc3.compress(&rgba, TILE as usize, TILE as usize, Params::default(), &mut blocks);
+    blocks.as_chunks::<16>().0.iter().flat_map(|block| block[8..].to_vec()).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use protocol::format::projected::Face;
+    use rand::{Rng, SeedableRng, rngs::StdRng};
+
+    fn picture(side: u32, color: impl Fn(u32, u32) -> [u8; 3]) -> FacePicture {
+        let at = (0..side * side).map(|at| (at % side, at / side));
+        FacePicture {
+            disparity: vec![0.5; (side * side) as usize],
+            color: at.map(|(x, y)| color(x, y)).collect(),
+        }
+    }
+
+    fn triangle(corners: [[u32; 2]; 3]) -> FaceMesh {
+        let vertices = corners.map(|[u, v]| [u * SUBPIXELS, v * SUBPIXELS, 9]).to_vec();
+        FaceMesh { vertices, triangles: vec![[0, 1, 2]], step: 1.0, error_px: 0.0 }
+    }
+
+    #[test]
+    fn a_face_without_triangles_stores_no_tile() {
+        let stored = stored_picture(&picture(32, |_, _| [9; 3]), 32, &FaceMesh::default());
+        assert_eq!(stored, StoredPicture { table: vec![0; 4], tiles: vec![] });
+    }
+
+    #[test]
+    fn tiles_that_a_triangle_reaches_are_stored_and_no_others() {
+        // The diagonal half of a face of 8x8 tiles.
+        let mesh = triangle([[0, 0], [0, 128], [128, 128]]);
+        let stored = stored_picture(&picture(128, |_, _| [9; 3]), 128, &mesh);
+        let is_stored = |x: usize, y: usize| stored.table[y * 8 + x] > 0;
+        for (x, y) in (0..8).flat_map(|x| (0..8).map(move |y| (x, y))) {
+            assert!(is_stored(x, y) || x > y, "{x} {y}");
+            assert!(!is_stored(x, y) || x <= y + 1, "{x} {y}");
+        }
+        assert_eq!(
+            stored.tiles.len() / TILE_BYTES,
+            stored.table.iter().filter(|t| **t > 0).count()
+        );
+    }
+
+    #[test]
+    fn colours_come_back_nearly_as_they_were() {
+        let mesh = triangle([[0, 0], [0, 64], [64, 64]]);
+        for (smooth, most) in [(true, 8), (false, 40)] {
+            let mut rng = StdRng::seed_from_u64(1);
+            let noise: Vec<u8> = (0..64 * 64).map(|_| rng.random_range(0..40)).collect();
+            let truth = picture(64, |x, y| {
+                let n = if smooth { 0 } else { noise[(y * 64 + x) as usize] };
+                [60 + 2 * x as u8 + n, 100 + y as u8 + n, 90 + n]
+            });
+            let stored = stored_picture(&truth, 64, &mesh);
+            let table: Vec<u8> = stored.table.iter().flat_map(|t| t.to_le_bytes()).collect();
+            let face =
+                Face { side: 64, vertices: &[], indices: &[], table: &table, tiles: &stored.tiles };
+            for (x, y) in (0..64).flat_map(|x| (x..64).map(move |y| (x, y))) {
+                let (found, truth) = (face.pixel(x, y), truth.color[(y * 64 + x) as usize]);
+                let off = (0..3).map(|k| found[k].abs_diff(truth[k])).max().unwrap();
+                assert!(off <= most, "{x} {y}: {found:?} {truth:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_plain_colour_is_met_whatever_it_is() {
+        let mesh = triangle([[0, 0], [0, 16], [16, 16]]);
+        let mut rng = StdRng::seed_from_u64(2);
+        for _ in 0..500 {
+            let color: [u8; 3] = std::array::from_fn(|_| rng.random());
+            let stored = stored_picture(&picture(16, |_, _| color), 16, &mesh);
+            let table: Vec<u8> = stored.table.iter().flat_map(|t| t.to_le_bytes()).collect();
+            let face =
+                Face { side: 16, vertices: &[], indices: &[], table: &table, tiles: &stored.tiles };
+            let found = face.pixel(7, 9);
+            assert!((0..3).all(|k| found[k].abs_diff(color[k]) <= 4), "{found:?} {color:?}");
+        }
+    }
+
+    #[test]
+    fn beside_the_edge_of_what_is_seen_nothing_is_dark() {
+        let mut half = picture(32, |_, _| [200; 3]);
+        for at in 0..32 * 32 {
+            if at % 32 >= 10 {
+                (half.disparity[at], half.color[at]) = (0.0, [0; 3]);
+            }
+        }
+        let stored = stored_picture(&half, 32, &triangle([[0, 0], [0, 32], [10, 32]]));
+        let table: Vec<u8> = stored.table.iter().flat_map(|t| t.to_le_bytes()).collect();
+        let face =
+            Face { side: 32, vertices: &[], indices: &[], table: &table, tiles: &stored.tiles };
+        assert!((0..32).all(|y| face.pixel(10, y)[1] > 190), "{:?}", face.pixel(10, 3));
+    }
+}

@@ -1,0 +1,137 @@
+//! A face of a scan cube ([`protocol::format::projected`]): where its vertices lie, and its picture, read
+//! as it lies in the file.
+
+use super::texture::Textures;
+use protocol::format::projected::{self, TILE, bc1_pixel};
+
+/// BC1 blocks of a tile.
+const BLOCKS: usize = projected::TILE_BYTES / size_of::<Block>();
+
+type Block = [u8; 8];
+
+/// Vertices and picture.
+pub(super) struct Face {
+    /// Packed grid positions.
+    pub(super) positions: Box<[[u32; 2]]>,
+    /// Pixels a side.
+    side: u32,
+    /// Row by row: 0, or 1 + the place of a tile, which exists.
+    table: Box<[u32]>,
+    blocks: Box<[Block]>,
+}
+
+impl Face {
+    /// Takes a face over; none where the table names a tile that is not stored.
+    pub(super) fn read(parts: &projected::Face<'_>) -> Option<Self> {
+        let words = |bytes: &[u8]| -> Box<[u32]> {
+            bytes.as_chunks().0.iter().map(|&word| u32::from_le_bytes(word)).collect()
+        };
+        let face = Self {
+            positions: words(parts.vertices).as_chunks().0.into(),
+            side: parts.side,
+            table: words(parts.table),
+            blocks: parts.tiles.as_chunks().0.into(),
+        };
+        let stored = face.blocks.len() / BLOCKS;
+        face.table.iter().all(|&entry| entry as usize <= stored).then_some(face)
+    }
+
+    /// Bytes of its arrays.
+    pub(super) fn held_bytes(&self) -> usize {
+        let Self { positions, side: _, table, blocks } = self;
+        size_of_val(&**positions) + size_of_val(&**table) + size_of_val(&**blocks)
+    }
+
+    /// The colour of a pixel, sRGB-encoded, if its tile is stored.
+    fn pixel(&self, [x, y]: [u32; 2]) -> Option<[u8; 3]> {
+        let entry = self.table[(y / TILE * (self.side / TILE) + x / TILE) as usize];
+        let place = entry.checked_sub(1)? as usize;
+        let block = y % TILE / 4 * (TILE / 4) + x % TILE / 4;
+        Some(bc1_pixel(self.blocks[place * BLOCKS + block as usize], x % 4, y % 4))
+    }
+
+    /// Linear colour at a place in pixels from the picture's top left corner: the bilinear filter of
+    /// `shaders/projected.wgsl`. What is not stored shows the nearest of the four pixels that is; black
+    /// where none is.
+    pub(super) fn sample(&self, textures: &Textures, place: [f32; 2]) -> [f32; 3] {
+        let last = self.side as i32 - 1;
+        let axis = |coordinate: f32| {
+            // NaN becomes 0.
+            let from_center = coordinate.max(0.0).min(self.side as f32) - 0.5;
+            let below = from_center.floor();
+            let pixels = [0, 1].map(|step| (below as i32 + step).clamp(0, last) as u32);
+            let share = from_center - below;
+            (pixels, [1.0 - share, share])
+        };
+        let (columns, rows) = (axis(place[0]), axis(place[1]));
+        let (mut sum, mut stored) = ([0.0f32; 3], 0.0f32);
+        let (mut nearest, mut most) = ([0.0; 3], -1.0);
+        for (x, y) in [(0, 0), (1, 0), (0, 1), (1, 1)] {
+            let Some(rgb) = self.pixel([columns.0[x], rows.0[y]]) else { continue };
+            let (color, weight) = (textures.linear(rgb), columns.1[x] * rows.1[y]);
+            if weight > most {
+                (nearest, most) = (color, weight);
+            }
+            (0..3).for_each(|k| sum[k] += color[k] * weight);
+            stored += weight;
+        }
+        std::array::from_fn(|k| sum[k] + nearest[k] * (1.0 - stored))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A row of tiles, white and black in turn, of which some are stored.
+    fn face(stored: [bool; 2]) -> Face {
+        let mut table = [0u32; 4];
+        let mut tiles = Vec::new();
+        for (i, color) in [0xffu8, 0].into_iter().enumerate().filter(|(i, _)| stored[*i]) {
+            tiles.extend([color, color, color, color, 0, 0, 0, 0].repeat(BLOCKS));
+            let entry = (tiles.len() / projected::TILE_BYTES) as u32;
+            (table[i], table[2 + i]) = (entry, entry);
+        }
+        let table: Vec<u8> = table.iter().flat_map(|entry| entry.to_le_bytes()).collect();
+        let (vertices, indices) = (&[][..], &[][..]);
+        let parts = projected::Face { side: 32, vertices, indices, table: &table, tiles: &tiles };
+        Face::read(&parts).expect("a sound face")
+    }
+
+    #[test]
+    fn no_place_is_out_of_the_picture() {
+        let (face, textures) = (face([true, true]), Textures::new());
+        let red = |x: f32| face.sample(&textures, [x, 31.9])[0];
+        for (at, expected) in [(f32::NAN, 1.0), (f32::NEG_INFINITY, 1.0), (-3.0, 1.0), (0.0, 1.0)] {
+            assert_eq!(red(at), expected, "{at}");
+        }
+        assert_eq!([red(15.5), red(15.75), red(16.0), red(16.5)], [1.0, 0.75, 0.5, 0.0]);
+        assert_eq!([red(32.0), red(1e30), red(f32::INFINITY)], [0.0; 3]);
+    }
+
+    #[test]
+    fn what_is_not_stored_shows_its_nearest_neighbour_that_is() {
+        let textures = Textures::new();
+        let red = |face: &Face, x: f32| face.sample(&textures, [x, 7.3])[0];
+        let left = face([true, false]);
+        // Inside, at the border, and beyond it by less than a pixel.
+        for (at, expected) in [(3.0, 1.0), (15.75, 1.0), (16.25, 1.0), (17.0, 0.0)] {
+            assert!((red(&left, at) - expected).abs() < 1e-6, "{at}");
+        }
+        let right = face([false, true]);
+        assert_eq!([red(&right, 15.75), red(&right, 16.25)], [0.0; 2]);
+    }
+
+    #[test]
+    fn a_table_that_names_what_is_not_stored_is_damaged() {
+        let parts = projected::Face {
+            side: 16,
+            vertices: &[],
+            indices: &[],
+            table: &[2, 0, 0, 0],
+            tiles: &[0; projected::TILE_BYTES],
+        };
+        assert!(Face::read(&parts).is_none());
+        assert!(Face::read(&projected::Face { table: &[1, 0, 0, 0], ..parts }).is_some());
+    }
+}

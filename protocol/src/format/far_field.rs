@@ -1,0 +1,70 @@
+//! What far fields are in the skeleton: regions of viewpoints and the scan cubes seen from them (paper 000).
+
+use super::NONE;
+use bytemuck::{Pod, Zeroable};
+
+/// A region of viewpoints that has a far field (paper 000, section 3.1.1): 72 bytes.
+///
+/// No two overlap but for their faces, edges and corners.
+#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+pub struct ViewCell {
+    /// Least corner of its box, scene units.
+    pub min: [f64; 3],
+    /// Greatest corner, greater in every axis.
+    pub max: [f64; 3],
+    /// First of its cubes in [`super::Skeleton::cubes`]: where those of the cell before end.
+    pub first_cube: u32,
+    /// Number of its cubes, 0 where its method is [`Method::None`] and only there.
+    pub cube_count: u32,
+    /// [`Method`] as a number.
+    pub method: u32,
+    /// Zero.
+    pub reserved: u32,
+    /// Solid angle of what no sample saw, from where most of it is seen (max `F` of paper 000, section
+    /// 3.3.5), steradians.
+    pub objective: f64,
+}
+
+/// What stands for what lies outside a cell.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[repr(u32)]
+pub enum Method {
+    /// Nothing: its far field is cheaper as geometry.
+    None = 0,
+    /// Textured depth meshes: every cube is whole.
+    Tdm = 1,
+    /// Incremental ones: a cube after the first may hold only what its ancestors do not.
+    Itdm = 2,
+}
+
+impl Method {
+    /// The method of a number in a file.
+    pub fn of(number: u32) -> Option<Self> {
+        [Self::None, Self::Tdm, Self::Itdm].into_iter().find(|&method| method as u32 == number)
+    }
+}
+
+/// A scan cube: what is seen from one viewpoint, or what its ancestors lack of it (paper 000, section
+/// 4.1): 56 bytes.
+#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+pub struct Cube {
+    /// The sample's viewpoint, inside its cell's box, scene units.
+    pub eye: [f64; 3],
+    /// Blob of each face in the order of [`super::projected::FACES`], [`NONE`] where nothing is left to
+    /// show.
+    pub faces: [u32; 6],
+    /// The cube of the same cell that it depends on, an index into [`super::Skeleton::cubes`] smaller than
+    /// its own; [`NONE`] for an intra cube.
+    pub parent: u32,
+    /// Triangles of all its faces.
+    pub triangles: u32,
+}
+
+impl Cube {
+    /// Blobs of the faces it has.
+    pub fn blobs(&self) -> impl Iterator<Item = u32> + use<> {
+        self.faces.into_iter().filter(|&blob| blob != NONE)
+    }
+}

@@ -1,0 +1,312 @@
+//! The inside of a projected blob: a face of a scan cube, mesh and picture in one (paper 000, section 4).
+//!
+//! A face is a square picture of `side` pixels taken from the sample's viewpoint `c`, 90 degrees wide. With
+//! the face's axes `right`, `down`, `forward` (unit, in scene axes) a point at view depth `z` that is seen
+//! at pixel coordinates `(u, v)`, from the picture's top left corner, is
+//!
+//! ```text
+//! p = c + z * (forward + right * (2 u / side - 1) + down * (2 v / side - 1)),    disparity = 1 / z
+//! ```
+//!
+//! A vertex holds `u` and `v` in 1/16 pixels and the disparity in units of the blob's `step`, as the three
+//! coordinates of a grid position. Since `(u, v, disparity)` is a projective image of space, what is flat stays
+//! flat, and `(p - eye) * disparity` is linear in the three:
+//!
+//! ```text
+//! (p - eye) * disparity = forward + right * (2 u / side - 1) + down * (2 v / side - 1) + (c - eye) * disparity
+//! ```
+//!
+//! so a vertex is transformed without a division, a disparity of 0 is infinitely far, and `u, v`
+//! interpolated with the homogeneous clip position are where the sample saw the point: projective
+//! texturing without a second set of coordinates.
+//!
+//! Bytes: vertices, 16-bit indices, zeros up to 4 bytes, then the picture: a table of `(side / 16)^2` 32-bit
+//! numbers, row by row, 0 for a tile that no triangle shows, else 1 + its place among the stored tiles; then
+//! the tiles, 16x16 pixels each, as 16 BC1 blocks of 4x4 pixels row by row. A pixel is an sRGB-encoded
+//! colour as it was shaded when the sample was taken.
+
+use super::mesh::{self, BlobDamage};
+use super::vertex::{Layout, POSITION_BITS, POSITION_MAX};
+use super::{Blob, Class};
+
+/// Bytes of a vertex: [`super::Vertex::pack_position`].
+pub const VERTEX_BYTES: usize = 8;
+/// Grid units of a pixel.
+pub const SUBPIXELS: u32 = 16;
+/// Pixels along a side of a tile.
+pub const TILE: u32 = 16;
+/// Bytes of a tile.
+pub const TILE_BYTES: usize = 128;
+/// Largest side of a face: its grid coordinates fit a position.
+pub const MAX_SIDE: u32 = 4096;
+
+/// Axes of the six faces of a cube, in scene axes.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FaceAxes {
+    /// Where the face looks.
+    pub forward: [f64; 3],
+    /// Right in its picture: `forward x up`.
+    pub right: [f64; 3],
+    /// Up in its picture.
+    pub up: [f64; 3],
+}
+
+/// The faces of a cube: +x, -x, +y, -y, +z, -z.
+pub const FACES: [FaceAxes; 6] = [
+    FaceAxes { forward: [1.0, 0.0, 0.0], right: [0.0, -1.0, 0.0], up: [0.0, 0.0, 1.0] },
+    FaceAxes { forward: [-1.0, 0.0, 0.0], right: [0.0, 1.0, 0.0], up: [0.0, 0.0, 1.0] },
+    FaceAxes { forward: [0.0, 1.0, 0.0], right: [1.0, 0.0, 0.0], up: [0.0, 0.0, 1.0] },
+    FaceAxes { forward: [0.0, -1.0, 0.0], right: [-1.0, 0.0, 0.0], up: [0.0, 0.0, 1.0] },
+    FaceAxes { forward: [0.0, 0.0, 1.0], right: [0.0, -1.0, 0.0], up: [-1.0, 0.0, 0.0] },
+    FaceAxes { forward: [0.0, 0.0, -1.0], right: [0.0, -1.0, 0.0], up: [1.0, 0.0, 0.0] },
+];
+
+/// Whether a face may have this many pixels a side: whole tiles, a power of two.
+pub fn is_side(side: u32) -> bool {
+    side.is_power_of_two() && (TILE..=MAX_SIDE).contains(&side)
+}
+
+/// Bytes of the picture of a face with so many stored tiles.
+pub fn image_bytes(side: u32, tiles: u32) -> u64 {
+    let across = u64::from(side / TILE);
+    across * across * 4 + u64::from(tiles) * TILE_BYTES as u64
+}
+
+/// Tiles that a picture of this side has at most.
+pub fn most_tiles(side: u32) -> u32 {
+    (side / TILE).pow(2)
+}
+
+/// A face that is to be written.
+#[derive(Debug, Clone, Copy)]
+pub struct NewFace<'a> {
+    /// Disparity of a grid unit, a power of two, 1 / scene units.
+    pub step: f64,
+    /// Pixels a side.
+    pub side: u32,
+    /// [`super::Vertex::pack_position`] of u, v and disparity.
+    pub vertices: &'a [[u32; 2]],
+    /// Three a triangle.
+    pub indices: &'a [u16],
+    /// An entry for each tile of the picture: 0, or 1 + its place in `tiles`.
+    pub table: &'a [u32],
+    /// The tiles that are stored, each named once in `table`.
+    pub tiles: &'a [[u8; TILE_BYTES]],
+}
+
+impl NewFace<'_> {
+    /// Its bytes, and its record but for where they lie, how long they are and their checksum.
+    ///
+    /// # Panics
+    /// If there is no such side, `table` or `tiles` are not as their docs say, a vertex lies outside the
+    /// picture, or the mesh is none ([`mesh::lay_out`]).
+    pub(super) fn encode(&self) -> (Blob, Vec<u8>) {
+        let &Self { step, side, vertices, indices, table, tiles } = self;
+        assert!(is_side(side), "a picture of {side} pixels a side");
+        assert_eq!(table.len(), most_tiles(side) as usize, "entries of the tile table");
+        let mut bytes = mesh::lay_out(Layout::Projected, bytemuck::cast_slice(vertices), indices);
+        bytes.extend_from_slice(bytemuck::cast_slice(table));
+        bytes.extend_from_slice(tiles.as_flattened());
+        let triangles = (indices.len() / 3) as u32;
+        let blob = Blob {
+            step,
+            vertices: vertices.len() as u32,
+            triangles,
+            layout: Layout::Projected as u32,
+            classes: Class::OpaqueDouble.all(triangles),
+            image: [side, tiles.len() as u32],
+            ..Blob::default()
+        };
+        check(&Face::of(&blob, &bytes)).unwrap_or_else(|damage| panic!("no face: {damage}"));
+        (blob, bytes)
+    }
+}
+
+/// Whether places lie in the picture and the table names each stored tile once.
+pub(super) fn check(face: &Face<'_>) -> Result<(), BlobDamage> {
+    let most = u64::from(face.side * SUBPIXELS);
+    let (vertices, _) = face.vertices.as_chunks::<VERTEX_BYTES>();
+    for (vertex, &position) in (0..).zip(vertices) {
+        let bits = u64::from_le_bytes(position);
+        let [u, v] = [bits, bits >> POSITION_BITS].map(|bits| bits & u64::from(POSITION_MAX));
+        if u > most || v > most {
+            return Err(BlobDamage::OutsidePicture { vertex });
+        }
+    }
+    let mut left = vec![true; face.tiles.len() / TILE_BYTES];
+    let mut named = 0;
+    let (table, _) = face.table.as_chunks::<4>();
+    for (entry, &number) in (0..).zip(table) {
+        let tile = u32::from_le_bytes(number);
+        let Some(place) = tile.checked_sub(1) else { continue };
+        if !left.get_mut(place as usize).is_some_and(std::mem::take) {
+            return Err(BlobDamage::Tile { entry, tile });
+        }
+        named += 1;
+    }
+    if named as usize == left.len() { Ok(()) } else { Err(BlobDamage::StrayTile { named }) }
+}
+
+/// The parts of a projected blob whose bytes have been checked.
+#[derive(Debug, Clone, Copy)]
+pub struct Face<'a> {
+    /// Pixels a side.
+    pub side: u32,
+    /// Grid positions, 8 bytes each.
+    pub vertices: &'a [u8],
+    /// Indices, 2 bytes each.
+    pub indices: &'a [u8],
+    /// Tile table, 4 bytes an entry.
+    pub table: &'a [u8],
+    /// Stored tiles.
+    pub tiles: &'a [u8],
+}
+
+impl<'a> Face<'a> {
+    /// Cuts a blob's bytes.
+    pub fn of(blob: &Blob, bytes: &'a [u8]) -> Self {
+        let (vertices, rest) = bytes.split_at(blob.vertices as usize * VERTEX_BYTES);
+        let of_indices = blob.triangles as usize * 6;
+        let indices = &rest[..of_indices];
+        let rest = &rest[of_indices.next_multiple_of(4)..];
+        let [side, _] = blob.image;
+        let across = (side / TILE) as usize;
+        let (table, tiles) = rest.split_at(across * across * 4);
+        Self { side, vertices, indices, table, tiles }
+    }
+
+    /// The colour of a pixel, sRGB-encoded; black where no tile is stored.
+    pub fn pixel(&self, x: u32, y: u32) -> [u8; 3] {
+        let (across, tile) = (self.side / TILE, [x / TILE, y / TILE]);
+        let at = (tile[1] * across + tile[0]) as usize * 4;
+        let entry = u32::from_le_bytes(std::array::from_fn(|k| self.table[at + k]));
+        let Some(place) = entry.checked_sub(1) else { return [0; 3] };
+        let (x, y) = (x % TILE, y % TILE);
+        let block = place as usize * TILE_BYTES + ((y / 4 * 4 + x / 4) * 8) as usize;
+        bc1_pixel(std::array::from_fn(|k| self.tiles[block + k]), x % 4, y % 4)
+    }
+}
+
+/// A pixel of a BC1 block in four-colour mode, whatever the order of its end points: a face has no holes
+/// in its picture. Channels are widened by repeating their high bits; the two colours between lie at
+/// a third and two thirds, rounded down.
+pub fn bc1_pixel(block: [u8; 8], x: u32, y: u32) -> [u8; 3] {
+    let end = |at: usize| {
+        let bits = u32::from(u16::from_le_bytes([block[at], block[at + 1]]));
+        let (r, g, b) = (bits >> 11, bits >> 5 & 63, bits & 31);
+        [r << 3 | r >> 2, g << 2 | g >> 4, b << 3 | b >> 2]
+    };
+    let (a, b) = (end(0), end(2));
+    let selectors = u32::from_le_bytes(std::array::from_fn(|k| block[4 + k]));
+    let (of_a, of_b) = match selectors >> (2 * (4 * y + x)) & 3 {
+        0 => (3, 0),
+        1 => (0, 3),
+        2 => (2, 1),
+        _ => (1, 2),
+    };
+    std::array::from_fn(|k| ((of_a * a[k] + of_b * b[k]) / 3) as u8)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::format::fixture::face;
+    use crate::format::mesh::check_blob;
+
+    #[test]
+    fn faces_are_right_handed_and_look_everywhere() {
+        let mut seen = [0.0; 3];
+        for FaceAxes { forward: f, right, up: u } in FACES {
+            let cross =
+                [f[1] * u[2] - f[2] * u[1], f[2] * u[0] - f[0] * u[2], f[0] * u[1] - f[1] * u[0]];
+            assert_eq!(cross, right);
+            (0..3).for_each(|k| seen[k] += f[k].abs());
+        }
+        assert_eq!(seen, [2.0; 3]);
+    }
+
+    #[test]
+    fn the_largest_face_fits_a_grid_position() {
+        const { assert!(MAX_SIDE * SUBPIXELS < 1 << POSITION_BITS) };
+        assert!(is_side(16) && is_side(512) && is_side(4096));
+        assert!(!is_side(0) && !is_side(8) && !is_side(48) && !is_side(8192));
+    }
+
+    #[test]
+    fn a_block_has_its_ends_and_two_colours_between() {
+        // Red 31 and blue 31; one row of each selector.
+        let block = [0x00, 0xf8, 0x1f, 0x00, 0b1110_0100, 0, 0x55, 0xff];
+        assert_eq!(bc1_pixel(block, 0, 0), [255, 0, 0]);
+        assert_eq!(bc1_pixel(block, 1, 0), [0, 0, 255]);
+        assert_eq!(bc1_pixel(block, 2, 0), [170, 0, 85]);
+        assert_eq!(bc1_pixel(block, 3, 0), [85, 0, 170]);
+        assert_eq!(bc1_pixel(block, 3, 2), [0, 0, 255]);
+        assert_eq!(bc1_pixel(block, 0, 3), [85, 0, 170]);
+    }
+
+    #[test]
+    fn a_pixel_is_found_through_the_table() {
+        let mut table = vec![0u8; 4 * 4];
+        table[4 * 3] = 2;
+        let mut tiles = vec![0u8; 2 * TILE_BYTES];
+        // Second stored tile, block (1, 2): all of its first end, white.
+        let block = TILE_BYTES + (2 * 4 + 1) * 8;
+        tiles[block..block + 2].copy_from_slice(&[0xff, 0xff]);
+        let face = Face { side: 32, vertices: &[], indices: &[], table: &table, tiles: &tiles };
+        assert_eq!(face.pixel(16 + 4, 16 + 8), [255; 3]);
+        assert_eq!(face.pixel(16 + 8, 16 + 8), [0; 3]);
+        assert_eq!(face.pixel(4, 8), [0; 3]);
+        assert_eq!(image_bytes(32, 2), (table.len() + tiles.len()) as u64);
+    }
+    /// The face after `change` by someone who also fixed the checksum.
+    fn forged(face: &NewFace<'_>, change: impl FnOnce(&mut [u8])) -> Result<(), BlobDamage> {
+        let (mut blob, mut bytes) = face.encode();
+        change(&mut bytes);
+        (blob.bytes, blob.crc) = (bytes.len() as u64, crc32c::crc32c(&bytes));
+        check_blob(&blob, &bytes, 0)
+    }
+
+    #[test]
+    fn bytes_lie_as_documented() {
+        let (blob, bytes) = face().encode();
+        assert_eq!(bytes.len(), 3 * 8 + 6 + 2 + 4 + 128);
+        let Face { vertices, indices, table, tiles, .. } = Face::of(&blob, &bytes);
+        assert_eq!([vertices.len(), indices.len(), table.len(), tiles.len()], [24, 6, 4, 128]);
+        assert_eq!(forged(&face(), |_| ()), Ok(()));
+        let short = check_blob(&Blob { image: [16, 2], ..blob }, &bytes, 0);
+        assert!(matches!(short, Err(BlobDamage::Length { expected: 292, .. })), "{short:?}");
+    }
+
+    #[test]
+    fn forged_faces_are_found_even_with_a_right_checksum() {
+        let forged = |change: fn(&mut [u8])| forged(&face(), change);
+        assert_eq!(forged(|b| b[24] = 3), Err(BlobDamage::Index { index: 0 }));
+        assert_eq!(forged(|b| b[30] = 1), Err(BlobDamage::Padding));
+        assert_eq!(forged(|b| b[15] |= 0x80), Err(BlobDamage::Padding));
+        // u of the second vertex is 256, the picture's border, and so is v of the third.
+        assert_eq!(forged(|b| b[8] = 1), Err(BlobDamage::OutsidePicture { vertex: 1 }));
+        assert_eq!(forged(|b| b[18] |= 0x20), Err(BlobDamage::OutsidePicture { vertex: 2 }));
+        assert_eq!(forged(|b| b[7] = 0x7f), Ok(()));
+        assert_eq!(forged(|b| b[32] = 2), Err(BlobDamage::Tile { entry: 0, tile: 2 }));
+        assert_eq!(forged(|b| b[35] = 0xff), Err(BlobDamage::Tile { entry: 0, tile: 0xff00_0001 }));
+        assert_eq!(forged(|b| b[32] = 0), Err(BlobDamage::StrayTile { named: 0 }));
+    }
+
+    #[test]
+    fn every_stored_tile_is_named_once() {
+        let tiles = [[0; TILE_BYTES]; 2];
+        let large = NewFace { side: 32, table: &[0, 2, 1, 0], tiles: &tiles, ..face() };
+        assert_eq!(forged(&large, |_| ()), Ok(()));
+        let twice = BlobDamage::Tile { entry: 3, tile: 2 };
+        assert_eq!(forged(&large, |b| b[32 + 12] = 2), Err(twice));
+        assert_eq!(forged(&large, |b| b[32 + 8] = 0), Err(BlobDamage::StrayTile { named: 1 }));
+        let bare = NewFace { table: &[0; 4], tiles: &[], ..large };
+        assert_eq!(forged(&bare, |_| ()), Ok(()));
+    }
+
+    #[test]
+    #[should_panic(expected = "vertex 1 lies outside its picture")]
+    fn a_vertex_outside_its_picture_is_our_mistake() {
+        NewFace { vertices: &[[0; 2], [257, 0], [0; 2]], ..face() }.encode();
+    }
+}
