@@ -79,7 +79,8 @@ fn another_version_with_the_token_is_told_and_ends_the_run() {
     }
     let (kind, reason) = failure(&outputs).unwrap();
     assert_eq!(kind, FailureKind::Protocol);
-    assert!(reason.contains("process 6") && reason.contains("version 2"), "{reason}");
+    let own = format!("version {WIRE_VERSION}");
+    assert!(reason.contains("process 6") && reason.contains(&own), "{reason}");
 }
 
 #[test]
