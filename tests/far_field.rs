@@ -68,6 +68,10 @@ impl Place {
     ) -> Vec<&'a str> {
         let mut all = vec!["bake", text(input), "-o", text(output), "--far", far];
         all.extend(["--far-samples", "5", "--far-cell-triangles", "10000"]);
+        // So small a plant is cheaper as geometry.
+        if !options.contains(&"--json") {
+            all.push("--far-always");
+        }
         if !options.contains(&"--cells-along") {
             all.extend(["--cells-along", text(&self.along)]);
         }
@@ -295,6 +299,23 @@ fn a_bake_gives_the_same_bytes_and_replaces_what_was_there() {
     assert_eq!((count("itdm"), count("tdm"), count("cubes")), (0, 1, 1));
     let faces = Store::open(&tdm).unwrap().skeleton().cubes[0].blobs().count() as u64;
     assert_eq!(number(&inspected, "/blobs") - number(&inspect(&place.plain), "/blobs"), faces);
+}
+
+#[test]
+fn a_cell_that_is_cheaper_as_geometry_gets_no_cubes_and_says_so() {
+    let place = Place::new();
+    let occ = place.scene.file("far.occ");
+    let output = succeed(&place.bake(&place.plain, &occ, "itdm", &["--far-side", "256", "--json"]));
+    let summary: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let cell = &summary["cells"][0];
+    let triangles = |key: &str| cell[key].as_u64().unwrap();
+    assert!(triangles("triangles") > triangles("geometry_triangles"), "{cell}");
+    assert_eq!(cell["kept"], false);
+    succeed(&["verify", text(&occ)]);
+    let inspected = succeed(&["inspect", text(&occ), "--json"]);
+    let inspected: Value = serde_json::from_slice(&inspected.stdout).unwrap();
+    assert_eq!(inspected["far_fields"]["none"], 1);
+    assert_eq!(inspected["far_fields"]["cubes"], 0);
 }
 
 #[test]

@@ -59,6 +59,9 @@ pub(crate) struct Args {
     /// Solid angle of what no sample saw that may be left, steradians
     #[arg(long, value_name = "SR", default_value_t = 0.2)]
     far_epsilon: f64,
+    /// Keep cubes where geometry is cheaper, too
+    #[arg(long)]
+    far_always: bool,
     /// Keep what is redundant: every cube is whole
     #[arg(long)]
     far_all_intra: bool,
@@ -119,6 +122,7 @@ fn add_far(args: &Args, options: &Options, baked: &Path) -> Result<FarSummary, F
     let mut settings = Settings::new(args.far, viewpoints);
     (settings.side, settings.in_space) = (args.far_side, args.far_in_space);
     (settings.samples, settings.epsilon_sr) = (args.far_samples, args.far_epsilon);
+    settings.always = args.far_always;
     (settings.all_intra, settings.search_side) = (args.far_all_intra, args.far_side.min(128));
     settings.division.most_triangles = args.far_cell_triangles;
     let mut make = |side: u32| {

@@ -18,6 +18,7 @@ use protocol::format::{
     Cube, Method, NONE, SceneWriter, Skeleton, Tables, Vertex, ViewCell, WriteError,
 };
 use protocol::message::FailureKind;
+use protocol::settings::FAR_CUBES;
 use scene::backend::{Backend, BackendError};
 use scene::store::{OpenError, Store, StoreError};
 use serde::Serialize;
@@ -48,6 +49,8 @@ pub struct Settings {
     pub samples: usize,
     /// Error of meshes, pixels of a face.
     pub tolerance_px: f64,
+    /// Cubes are kept where geometry is cheaper, too.
+    pub always: bool,
     /// Every cube is whole: what the removal of redundant points is measured against.
     pub all_intra: bool,
 }
@@ -65,6 +68,7 @@ impl Settings {
             epsilon_sr: 0.2,
             samples: 16,
             tolerance_px: 0.5,
+            always: false,
             all_intra: false,
         }
     }
@@ -332,9 +336,9 @@ impl<'a> FarFile<'a> {
     /// Writes a cell's cubes, or notes that its far field is cheaper as geometry.
     fn add(&mut self, made: FarFieldOf, settings: &Settings) -> Result<CellSummary, FarError> {
         let mut summary = made.summary;
-        // What is drawn from one place is some of the cubes, and what is in the frustum of either.
-        let intra = made.cubes[0].triangles();
-        summary.kept = intra < summary.geometry_triangles;
+        // Both are what is drawn all around, where nothing else is asked for.
+        let drawn: u64 = made.cubes.iter().take(FAR_CUBES as usize).map(BakedCube::triangles).sum();
+        summary.kept = settings.always || drawn < summary.geometry_triangles;
         let first_cube = self.cubes.len() as u32;
         let cubes = if summary.kept { &made.cubes[..] } else { &[] };
         for cube in cubes {
