@@ -11,13 +11,13 @@
 
 mod support;
 
-use coordinator::camera_path::{cameras, near_plane, read_csv};
-use protocol::camera::Camera;
+use coordinator::camera_path::{cameras, read_csv};
+use protocol::camera::{Camera, near_plane};
 use protocol::format::Skeleton;
 use protocol::id::{BlobId, HlodId};
 use protocol::settings::PictureSize;
 use scene::backend::cpu::CpuBackend;
-use scene::backend::{Backend, Completion, Part, Pass, Upload, View};
+use scene::backend::{Backend, Completion, Part, Pass, Upload, View, upload_textures_of};
 use scene::deep::{LevelSurface, Original};
 use scene::draw_list::draw_list;
 use scene::front::{FrontEntry, front};
@@ -64,11 +64,8 @@ fn draw(store: &Store, camera: &Camera, entries: &[FrontEntry]) -> (Vec<u32>, Ve
         let bytes = store.load_blob(blob).unwrap();
         assert_eq!(backend.upload(blob, skeleton.blob(blob), &bytes).unwrap(), Upload::Done);
     }
-    let textures: Vec<Vec<u8>> =
-        (0..skeleton.textures.len() as u32).map(|t| store.load_texture(t).unwrap()).collect();
-    let textures: Vec<_> =
-        skeleton.textures.iter().zip(&textures).map(|(t, mips)| (*t, &mips[..])).collect();
-    assert_eq!(backend.upload_textures(&textures).unwrap(), Upload::Done);
+    let textures = upload_textures_of::<anyhow::Error>(store, &mut backend).unwrap();
+    assert_eq!(textures, Upload::Done);
     let mut draws = draw_list(skeleton, entries, camera.eye);
     // What blends has no depth.
     draws.blending.clear();

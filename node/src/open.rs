@@ -12,7 +12,7 @@ use protocol::format::Skeleton;
 use protocol::id::BlobId;
 use protocol::message::FailureKind;
 use protocol::settings::{Far, Residency as Promise, RunSettings};
-use scene::backend::{Backend, Upload};
+use scene::backend::{Backend, Upload, upload_textures_of};
 use scene::front::FrontEntry;
 use scene::near_field::Cells;
 use scene::prefetch::Forecaster;
@@ -128,15 +128,7 @@ fn always(skeleton: &Skeleton, promise: Promise) -> Vec<FrontEntry> {
 
 /// Textures come at once and stay.
 fn upload_textures(store: &Store, backend: &mut dyn Backend) -> Result<(), RoleError> {
-    let records = &store.skeleton().textures;
-    if records.is_empty() {
-        return Ok(());
-    }
-    let load = |index| store.load_texture(index);
-    let bytes: Vec<Vec<u8>> = (0..records.len() as u32).map(load).collect::<Result<_, _>>()?;
-    let textures: Vec<_> =
-        records.iter().zip(&bytes).map(|(record, mips)| (*record, &mips[..])).collect();
-    match backend.upload_textures(&textures)? {
+    match upload_textures_of::<RoleError>(store, backend)? {
         Upload::Done => Ok(()),
         Upload::Full => Err(RoleError::Textures),
     }

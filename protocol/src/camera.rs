@@ -100,6 +100,16 @@ fn unit(v: [f64; 3]) -> Option<[f64; 3]> {
     Some(scaled.map(|c| c / length))
 }
 
+/// Distance of the near plane as a share of the scene's diagonal: a centimetre in a hall of 100 m.
+pub const NEAR_OF_DIAGONAL: f64 = 1e-4;
+
+/// Near plane for a scene whose box has this diagonal, scene units.
+///
+/// A scene without extent has no scale to go by; its near plane is [`NEAR_OF_DIAGONAL`] units.
+pub fn near_plane(diagonal: f64) -> f64 {
+    NEAR_OF_DIAGONAL * if diagonal > 0.0 { diagonal } else { 1.0 }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

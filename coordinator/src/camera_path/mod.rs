@@ -12,9 +12,6 @@ pub use generate::{GenerateError, PathKind, generate};
 
 use protocol::camera::{Camera, CameraError};
 
-/// Distance of the near plane as a share of the scene's diagonal: a centimetre in a hall of 100 m.
-pub const NEAR_OF_DIAGONAL: f64 = 1e-4;
-
 /// Full vertical field of view of generated poses, degrees.
 pub const FOV_Y_DEG: f64 = 60.0;
 
@@ -39,13 +36,6 @@ pub struct CamerasError {
     pub frame: usize,
     /// What is wrong with it.
     pub source: CameraError,
-}
-
-/// Near plane for a scene whose box has this diagonal, scene units.
-///
-/// A scene without extent has no scale to go by; its near plane is [`NEAR_OF_DIAGONAL`] units.
-pub fn near_plane(diagonal: f64) -> f64 {
-    NEAR_OF_DIAGONAL * if diagonal > 0.0 { diagonal } else { 1.0 }
 }
 
 /// Cameras of `poses` with the near plane at `near` scene units.
@@ -81,6 +71,6 @@ mod tests {
             cameras(&[good, bad], 0.1),
             Err(CamerasError { frame: 1, source: CameraError::NoUp })
         );
-        assert!(near_plane(0.0) > 0.0);
+        assert!(protocol::camera::near_plane(0.0) > 0.0);
     }
 }

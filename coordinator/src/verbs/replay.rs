@@ -12,6 +12,7 @@ use coordinator::log::summary::Summary;
 use coordinator::log::table::table;
 use coordinator::log::{SceneFacts, write_all};
 use coordinator::run::{self as rig_run, RunError, RunPlan};
+use protocol::camera::near_plane;
 use protocol::settings::{
     BackendChoice, Cull, FAR_CUBES, Far, PictureSize, Residency, RunSettings, Schedule,
 };
@@ -144,7 +145,7 @@ pub(super) fn replay(args: Args) -> Result<(Summary, Option<PathBuf>), Failure> 
     if let Some(out) = &args.out {
         forget_former_run(out)?;
     }
-    let near = camera_path::near_plane(store.skeleton().diagonal());
+    let near = near_plane(store.skeleton().diagonal());
     let cameras = camera_path::cameras(&poses, near).or_exit(BAD_DATA)?;
     let settings = settings(&args, &rig, &store, cameras.len())?;
     let frames = settings.frames;

@@ -13,6 +13,7 @@ use farfield::placement::{self, Region, Source};
 use farfield::sample::Sample;
 use farfield::{itdm, tdm};
 use glam::DVec3;
+use protocol::camera::near_plane;
 use protocol::format::projected::NewFace;
 use protocol::format::{
     Cube, Method, NONE, SceneWriter, Skeleton, Tables, Vertex, ViewCell, WriteError,
@@ -24,9 +25,6 @@ use scene::store::{OpenError, Store, StoreError};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
-
-/// Near plane of samples, as a share of the scene's diagonal: that of pictures.
-const NEAR_OF_DIAGONAL: f64 = 1e-4;
 
 /// What is made.
 #[derive(Debug, Clone, PartialEq)]
@@ -107,7 +105,7 @@ impl FarError {
         match self {
             Self::Open(error) => scene::store::failure_kind(error),
             Self::Nowhere(_) => FailureKind::BadData,
-            Self::Capture(CaptureError::NoRoom(_)) => FailureKind::Config,
+            Self::Capture(CaptureError::NoRoom(_) | CaptureError::Textures) => FailureKind::Config,
             Self::Capture(CaptureError::Backend(_)) => FailureKind::Unavailable,
             Self::Capture(CaptureError::Store(error)) | Self::Store(error) => error.kind(),
             Self::Write(_) => FailureKind::Io,
@@ -198,10 +196,11 @@ pub fn add_far(
     if cells.is_empty() {
         return Err(FarError::Nowhere(input.to_owned()));
     }
-    let near_plane = (NEAR_OF_DIAGONAL * skeleton.diagonal()) as f32;
+    // That of pictures.
+    let near = near_plane(skeleton.diagonal()) as f32;
     let mut studio = |side: u32| -> Result<Studio<'_>, FarError> {
         let backend = make_backend(side).map_err(CaptureError::from)?;
-        Ok(Studio::new(&store, backend, side, near_plane)?)
+        Ok(Studio::new(&store, backend, side, near)?)
     };
     let mut search = studio(settings.search_side)?;
     let mut fine = studio(settings.side)?;

@@ -6,7 +6,9 @@ use glam::DVec3;
 use protocol::camera::Camera;
 use protocol::id::BlobId;
 use protocol::settings::PictureSize;
-use scene::backend::{Backend, BackendError, Completion, Draw, Draws, Part, Pass, Upload, View};
+use scene::backend::{
+    Backend, BackendError, Completion, Draw, Draws, Part, Pass, Upload, View, upload_textures_of,
+};
 use scene::draw_list::draw_list;
 use scene::front::{Field, front_of};
 use scene::near_field::NearField;
@@ -25,6 +27,9 @@ pub enum CaptureError {
     /// A mesh or texture cannot be read.
     #[error(transparent)]
     Store(#[from] StoreError),
+    /// They do not fit.
+    #[error("the textures take more than the memory that samples are taken in; raise --memory")]
+    Textures,
     /// One mesh beside the textures is more than the backend may hold.
     #[error("mesh {0} does not fit the memory that samples are taken in; raise --memory")]
     NoRoom(BlobId),
@@ -48,16 +53,10 @@ impl<'a> Studio<'a> {
         side: u32,
         near_plane: f32,
     ) -> Result<Self, CaptureError> {
-        let skeleton = store.skeleton();
-        let load = |index| store.load_texture(index);
-        let mips: Vec<Vec<u8>> =
-            (0..skeleton.textures.len() as u32).map(load).collect::<Result<_, _>>()?;
-        let records = skeleton.textures.iter().zip(&mips);
-        let textures: Vec<_> = records.map(|(record, mips)| (*record, &mips[..])).collect();
-        if backend.upload_textures(&textures)? == Upload::Full {
-            return Err(CaptureError::NoRoom(BlobId(0)));
+        if upload_textures_of::<CaptureError>(store, backend.as_mut())? == Upload::Full {
+            return Err(CaptureError::Textures);
         }
-        let residency = Residency::new(skeleton.blobs.len());
+        let residency = Residency::new(store.skeleton().blobs.len());
         Ok(Self { store, backend, side, near_plane, residency, now: 0 })
     }
 

@@ -10,6 +10,7 @@ use protocol::id::{BlobId, HlodId};
 use protocol::settings::PictureSize;
 use scene::backend::{Draw, NO_ITEM};
 use scene::near_field::Cells;
+use scene::view::frustum;
 use std::sync::Arc;
 
 /// What stands in for the far fields of a scene.
@@ -130,13 +131,7 @@ struct Sight {
 
 impl Sight {
     fn new(camera: &Camera, size: PictureSize) -> Self {
-        let wide = |v: [f32; 3]| DVec3::from_array(v.map(f64::from));
-        let (forward, up) = (wide(camera.forward), wide(camera.up));
-        let right = DVec3::from_array(camera.right());
-        let y = f64::from(camera.tan_half_fov_y);
-        let x = y * f64::from(size.width) / f64::from(size.height);
-        let sides =
-            [forward, forward * x + right, forward * x - right, forward * y + up, forward * y - up];
+        let sides = frustum(camera, size).normals();
         Self { eye: DVec3::from_array(camera.eye), sides }
     }
 

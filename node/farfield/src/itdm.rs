@@ -3,17 +3,12 @@
 
 use crate::adjacency::{Adjacency, Tests};
 use crate::cube::{BakedCube, Viewpoints, faces};
-use crate::field::{Cubes, FarField};
 use crate::method::Method;
 use crate::neighbours::Pixel;
 use crate::redundancy::{Surviving, Tolerance, overlapping, surviving};
 use crate::sample::Sample;
-use crate::select::Budget;
 use crate::tree::DependencyTree;
 use protocol::format::Method as Number;
-use protocol::format::Skeleton;
-use scene::near_field::Cells;
-use std::sync::Arc;
 
 /// The method.
 pub struct Itdm;
@@ -25,15 +20,6 @@ impl Method for Itdm {
 
     fn number(&self) -> Number {
         Number::Itdm
-    }
-
-    fn open(
-        &self,
-        skeleton: Arc<Skeleton>,
-        cells: Arc<Cells>,
-        budget: Budget,
-    ) -> Arc<dyn FarField> {
-        Arc::new(Cubes::new(skeleton, cells, budget))
     }
 }
 
@@ -64,7 +50,8 @@ pub fn encode(
         let sample = &samples[at];
         let ancestors: Vec<&Sample> =
             tree.ancestors(at).filter(|_| !keeps_all).map(|up| &samples[up]).collect();
-        let whole = count(&surviving(sample, &[], &Tolerance::default()));
+        let pictures = sample.faces.iter().flat_map(|face| &face.disparity);
+        let whole = pictures.filter(|disparity| **disparity > 0.0).count() as u64;
         let left = surviving(sample, &ancestors, &Tolerance::default());
         encoded.points += whole;
         encoded.redundant += whole - count(&left);

@@ -1,6 +1,6 @@
 //! The ways to stand in for what is far: one list, a folder each.
 
-use crate::field::FarField;
+use crate::field::{Cubes, FarField};
 use crate::itdm::Itdm;
 use crate::select::Budget;
 use crate::tdm::Tdm;
@@ -20,9 +20,15 @@ pub trait Method: Sync {
     /// Its number in a scene file.
     fn number(&self) -> Number;
 
-    /// What stands in for the far fields of `cells` at run time.
-    fn open(&self, skeleton: Arc<Skeleton>, cells: Arc<Cells>, budget: Budget)
-    -> Arc<dyn FarField>;
+    /// What stands in for the far fields of `cells` at run time: scan cubes, unless a method has its own.
+    fn open(
+        &self,
+        skeleton: Arc<Skeleton>,
+        cells: Arc<Cells>,
+        budget: Budget,
+    ) -> Arc<dyn FarField> {
+        Arc::new(Cubes::new(skeleton, cells, budget))
+    }
 }
 
 #[cfg(test)]

@@ -2,15 +2,10 @@
 //! (section 5.4) compares itself with.
 
 use crate::cube::{BakedCube, Viewpoints, faces};
-use crate::field::{Cubes, FarField};
 use crate::method::Method;
 use crate::redundancy::{Tolerance, surviving};
 use crate::sample::Sample;
-use crate::select::Budget;
 use protocol::format::Method as Number;
-use protocol::format::Skeleton;
-use scene::near_field::Cells;
-use std::sync::Arc;
 
 /// The method.
 pub struct Tdm;
@@ -22,15 +17,6 @@ impl Method for Tdm {
 
     fn number(&self) -> Number {
         Number::Tdm
-    }
-
-    fn open(
-        &self,
-        skeleton: Arc<Skeleton>,
-        cells: Arc<Cells>,
-        budget: Budget,
-    ) -> Arc<dyn FarField> {
-        Arc::new(Cubes::new(skeleton, cells, budget))
     }
 }
 

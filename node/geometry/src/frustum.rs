@@ -54,6 +54,11 @@ impl Frustum {
         }
     }
 
+    /// Inward normals of the near plane and of the four sides, which meet in the eye.
+    pub fn normals(&self) -> [DVec3; 5] {
+        self.planes.map(|(normal, _)| normal)
+    }
+
     /// Where `b`, relative to the eye, lies. An empty box is outside.
     pub fn contains(&self, b: &Aabb) -> Containment {
         if b.is_empty() {

@@ -11,6 +11,7 @@ use crate::device::Device;
 use crate::pipelines::entry;
 use crate::ranges::Ranges;
 use crate::staging::Staging;
+use protocol::format::mesh::blob_bytes;
 use protocol::format::vertex::Layout;
 use protocol::format::{Blob, Class, projected};
 use protocol::id::BlobId;
@@ -123,11 +124,7 @@ impl GeometryMemory {
                 projected::is_side(side) && classes == Class::OpaqueDouble.all(triangles)
             }
         };
-        let of_picture = match layout {
-            Layout::Projected if is_sound => projected::image_bytes(side, tiles),
-            _ => 0,
-        };
-        let needed = picture_start + of_picture;
+        let needed = blob_bytes(blob);
         let sum: u64 = classes.iter().map(|&count| u64::from(count)).sum();
         if bytes.len() as u64 != needed
             || triangles > u32::MAX / 3

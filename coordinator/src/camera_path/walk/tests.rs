@@ -1,6 +1,7 @@
+use super::super::cameras;
 use super::super::generate::{GenerateError, PathKind, generate_within};
-use super::super::{cameras, near_plane};
 use super::*;
+use protocol::camera::near_plane;
 use protocol::format::{Blob, Class, Hlod, Level, NONE, Part, SceneInfo, Skeleton, Vertex};
 use protocol::id::BlobId;
 use std::convert::Infallible;

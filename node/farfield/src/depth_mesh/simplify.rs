@@ -30,15 +30,8 @@ pub struct Purpose {
     pub side: u32,
     /// Greatest distance from the sample's viewpoint to any of the cell, scene units.
     pub reach: f64,
-    /// Greatest error, pixels.
+    /// Greatest error, pixels; half of one is the paper's.
     pub tolerance_px: f64,
-}
-
-impl Default for Purpose {
-    /// Half a pixel, the paper's.
-    fn default() -> Self {
-        Self { side: 512, reach: 1.0, tolerance_px: 0.5 }
-    }
 }
 
 /// A mesh as it is stored.

@@ -15,6 +15,7 @@ mod part;
 
 pub use part::{Part, UnderWay};
 
+use crate::store::{Store, StoreError};
 use protocol::format::{Blob, Texture, Wrap, texture};
 use protocol::id::{BlobId, HlodId};
 use protocol::settings::{Cull, PictureSize};
@@ -263,6 +264,23 @@ pub trait Backend {
     /// Appends what has come of submitted passes, in order, waiting until there is at least one
     /// completion if any pass is under way. Parts that do not close their pass are not waited for.
     fn poll(&mut self, completions: &mut Vec<Completion>) -> Result<(), BackendError>;
+}
+
+/// Hands all textures of a scene to a backend, which has none of it yet.
+pub fn upload_textures_of<E: From<StoreError> + From<BackendError>>(
+    store: &Store,
+    backend: &mut dyn Backend,
+) -> Result<Upload, E> {
+    let records = &store.skeleton().textures;
+    if records.is_empty() {
+        return Ok(Upload::Done);
+    }
+    let load = |index| store.load_texture(index);
+    let mips: Vec<Vec<u8>> =
+        (0..records.len() as u32).map(load).collect::<Result<_, StoreError>>()?;
+    let textures: Vec<TextureUpload<'_>> =
+        records.iter().zip(&mips).map(|(record, mips)| (*record, &mips[..])).collect();
+    Ok(backend.upload_textures(&textures)?)
 }
 
 #[cfg(test)]
