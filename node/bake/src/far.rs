@@ -9,12 +9,13 @@ use farfield::capture::{CaptureError, Studio};
 pub use farfield::cells::CELL_TRIANGLES as DEFAULT_CELL_TRIANGLES;
 use farfield::cells::{Cell, Division, cells_along, up_axis};
 use farfield::cube::{BakedCube, BakedFace, Viewpoints};
+use farfield::patches::BakedPatch;
 use farfield::placement::{self, Region, Source};
 use farfield::sample::Sample;
 use farfield::{itdm, tdm};
 use glam::DVec3;
 use protocol::camera::near_plane;
-use protocol::format::projected::NewFace;
+use protocol::format::projected::{NewPatch, SUBPIXELS, TILE};
 use protocol::format::{
     Cube, Method, NONE, SceneWriter, Skeleton, Tables, Vertex, ViewCell, WriteError,
 };
@@ -23,6 +24,7 @@ use protocol::settings::FAR_CUBES;
 use scene::backend::{Backend, BackendError};
 use scene::store::{OpenError, Store, StoreError};
 use serde::Serialize;
+use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -307,6 +309,20 @@ impl Source for OfCell<'_, '_> {
     }
 }
 
+/// The vertices that indices name, in the order they do, and the indices into those.
+fn own_vertices(indices: &[u32]) -> (Vec<u32>, Vec<u16>) {
+    let mut used = Vec::new();
+    let mut places = HashMap::new();
+    let local = indices.iter().map(|&vertex| {
+        *places.entry(vertex).or_insert_with(|| {
+            used.push(vertex);
+            used.len() as u16 - 1
+        })
+    });
+    let local = local.collect();
+    (used, local)
+}
+
 /// The file with far fields while it is written.
 struct FarFile<'a> {
     store: &'a Store,
@@ -341,15 +357,18 @@ impl<'a> FarFile<'a> {
         let first_cube = self.cubes.len() as u32;
         let cubes = if summary.kept { &made.cubes[..] } else { &[] };
         for cube in cubes {
-            let mut faces = [NONE; 6];
-            for (face, number) in cube.faces.iter().zip(&mut faces) {
-                let Some(face) = face else { continue };
-                *number = self.add_face(face, settings.side)?;
-                summary.bytes += self.writer.blob(protocol::id::BlobId(*number)).bytes;
+            let mut patches = [0; 7];
+            for (face, start) in cube.faces.iter().zip(&mut patches) {
+                *start = self.writer.blob_count();
+                if let Some(face) = face {
+                    summary.bytes += self.add_face(face)?;
+                }
             }
+            patches[6] = self.writer.blob_count();
             self.cubes.push(Cube {
                 eye: cube.eye.to_array(),
-                faces,
+                patches,
+                side: settings.side,
                 parent: cube.parent.map_or(NONE, |parent| first_cube + parent as u32),
                 triangles: cube.triangles() as u32,
             });
@@ -366,20 +385,30 @@ impl<'a> FarFile<'a> {
         Ok(summary)
     }
 
-    fn add_face(&mut self, face: &BakedFace, side: u32) -> Result<u32, FarError> {
-        let vertices: Vec<[u32; 2]> =
-            face.mesh.vertices.iter().map(|&grid| Vertex::pack_position(grid)).collect();
-        let indices: Vec<u16> =
-            face.mesh.triangles.as_flattened().iter().map(|&index| index as u16).collect();
-        let new = NewFace {
-            step: face.mesh.step,
-            side,
-            vertices: &vertices,
-            indices: &indices,
-            table: &face.picture.table,
-            tiles: face.picture.tiles.as_chunks().0,
-        };
-        Ok(self.writer.add_face(&new)?.0)
+    /// Writes the patches of a face; returns their bytes.
+    fn add_face(&mut self, face: &BakedFace) -> Result<u64, FarError> {
+        let mut bytes = 0;
+        for BakedPatch { triangles, window, picture } in &face.patches {
+            let at = window.at.map(|tile| tile * TILE);
+            let triangles = face.mesh.triangles[triangles.clone()].as_flattened();
+            let (used, indices) = own_vertices(triangles);
+            let local = |&vertex: &u32| {
+                let [u, v, disparity] = face.mesh.vertices[vertex as usize];
+                Vertex::pack_position([u - at[0] * SUBPIXELS, v - at[1] * SUBPIXELS, disparity])
+            };
+            let vertices: Vec<[u32; 2]> = used.iter().map(local).collect();
+            let blob = self.writer.add_patch(&NewPatch {
+                step: face.mesh.step,
+                at,
+                side: window.across * TILE,
+                vertices: &vertices,
+                indices: &indices,
+                table: &picture.table,
+                tiles: picture.tiles.as_chunks().0,
+            })?;
+            bytes += self.writer.blob(blob).bytes;
+        }
+        Ok(bytes)
     }
 
     fn finish(mut self, key: [u8; 32]) -> Result<u64, FarError> {

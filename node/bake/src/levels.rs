@@ -210,6 +210,7 @@ impl<'a> Chain<'a> {
         let mut forth = near.upper;
         if !far.is_empty() {
             // Only what was far can have come nearer.
+            let far: Vec<u32> = far.iter().map(|stray| stray.triangle).collect();
             let (far, far_sources) = part(self.base, &far);
             let restored = restore(mesh, &far, tolerable);
             sources.extend(restored.iter().map(|&vertex| far_sources[vertex as usize]));

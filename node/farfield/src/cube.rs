@@ -3,7 +3,8 @@
 use crate::depth_mesh::dense::dense_mesh;
 use crate::depth_mesh::simplify::{FaceMesh, Purpose, simplified};
 use crate::neighbours::Pixel;
-use crate::picture::{StoredPicture, stored_picture};
+use crate::patches::{BakedPatch, patches};
+use crate::picture::stored_picture;
 use crate::redundancy::Surviving;
 use crate::sample::Sample;
 use glam::DVec3;
@@ -12,10 +13,10 @@ use rayon::prelude::*;
 /// A face that shows something.
 #[derive(Debug, Clone, PartialEq)]
 pub struct BakedFace {
-    /// Its mesh.
+    /// Its mesh, the triangles of a patch one after another.
     pub mesh: FaceMesh,
-    /// Its picture.
-    pub picture: StoredPicture,
+    /// What its mesh is cut into, and the picture of each.
+    pub patches: Vec<BakedPatch>,
 }
 
 /// A cube as it is stored.
@@ -53,7 +54,6 @@ impl Viewpoints {
 }
 
 /// Makes the faces of a cube of those pixels of a sample that survive, within `tolerance_px` pixels.
-/// A face with more vertices than a blob may hold is made again with twice the tolerance.
 pub fn faces(
     sample: &Sample,
     surviving: &Surviving,
@@ -69,15 +69,16 @@ pub fn faces(
             if dense.triangles.is_empty() {
                 return None;
             }
-            let mut purpose = Purpose { side: sample.side, reach, tolerance_px };
-            let mesh = loop {
-                match simplified(&dense, &purpose) {
-                    Some(mesh) => break mesh,
-                    None => purpose.tolerance_px *= 2.0,
-                }
-            };
-            let picture = stored_picture(&sample.faces[face], sample.side, &mesh);
-            Some(BakedFace { mesh, picture })
+            let purpose = Purpose { side: sample.side, reach, tolerance_px };
+            let mut mesh = simplified(&dense, &purpose);
+            let cut = patches(&mut mesh, sample.side).into_iter().map(|(triangles, window)| {
+                let shown = &mesh.triangles[triangles.clone()];
+                let picture = &sample.faces[face];
+                let picture = stored_picture(picture, sample.side, &mesh, shown, window);
+                BakedPatch { triangles, window, picture }
+            });
+            let patches = cut.collect();
+            Some(BakedFace { mesh, patches })
         })
         .collect();
     made.try_into().expect("six faces")

@@ -5,7 +5,7 @@ use glam::DVec3;
 use protocol::camera::Camera;
 use protocol::format::projected::{FACES, FaceAxes, SUBPIXELS};
 use protocol::format::vertex::POSITION_MAX;
-use protocol::format::{Cube, NONE, Skeleton, ViewCell};
+use protocol::format::{Blob, Cube, NONE, Skeleton, ViewCell};
 use protocol::id::{BlobId, HlodId};
 use protocol::settings::PictureSize;
 use scene::backend::{Draw, NO_ITEM};
@@ -40,19 +40,13 @@ impl Cubes {
         self.cells.at(eye).map(|cell| &self.skeleton.view_cells[cell])
     }
 
-    /// A face shows nothing nearer along its axis: the greatest disparity that its grid holds.
-    fn nearest(&self, cube: &Cube, face: usize) -> f64 {
-        let step = self.skeleton.blob(BlobId(cube.faces[face])).step;
-        1.0 / (step * f64::from(POSITION_MAX))
-    }
-
-    /// Cubes to draw of a cell; `sees` tells whether a face may lie in the picture.
+    /// Cubes to draw of a cell; `sees` tells whether a patch may lie in the picture.
     fn cubes(
         &self,
         cell: &ViewCell,
         eye: [f64; 3],
         budget: &Budget,
-        sees: impl Fn(&Cube, usize) -> bool,
+        sees: impl Fn(&Cube, usize, &Blob) -> bool,
     ) -> Vec<&Cube> {
         let cubes = self.skeleton.cubes_of(cell);
         let choices: Vec<Choice> = cubes
@@ -60,14 +54,22 @@ impl Cubes {
             .map(|cube| Choice {
                 eye: DVec3::from_array(cube.eye),
                 parent: (cube.parent != NONE).then(|| (cube.parent - cell.first_cube) as usize),
-                triangles: faces_of(cube)
-                    .filter(|(face, _)| sees(cube, *face))
-                    .map(|(_, blob)| u64::from(self.skeleton.blob(blob).triangles))
+                triangles: self
+                    .patches(cube)
+                    .filter(|(face, _, patch)| sees(cube, *face, patch))
+                    .map(|(_, _, patch)| u64::from(patch.triangles))
                     .sum(),
             })
             .collect();
         let chosen = selected(&choices, DVec3::from_array(eye), budget);
         chosen.into_iter().map(|at| &cubes[at]).collect()
+    }
+
+    /// The patches of a cube: face, number and record.
+    fn patches(&self, cube: &Cube) -> impl Iterator<Item = (usize, BlobId, &Blob)> {
+        let of_face = |face: usize| cube.patches_of(face).map(move |blob| (face, BlobId(blob)));
+        let all: Vec<_> = (0..6).flat_map(of_face).collect();
+        all.into_iter().map(|(face, blob)| (face, blob, self.skeleton.blob(blob)))
     }
 }
 
@@ -76,37 +78,32 @@ impl FarField for Cubes {
         let Some(cell) = self.cell(eye) else { return Vec::new() };
         // How many triangles lie in the frustum is not known, so they cannot end the list.
         let budget = Budget { triangles: None, ..self.budget };
-        let cubes = self.cubes(cell, eye, &budget, |_, _| true);
-        cubes.into_iter().flat_map(faces_of).map(|(_, blob)| blob).collect()
+        let cubes = self.cubes(cell, eye, &budget, |_, _, _| true);
+        cubes.into_iter().flat_map(Cube::blobs).map(BlobId).collect()
     }
 
     fn draws(&self, camera: &Camera, size: PictureSize) -> Vec<Draw> {
         let Some(cell) = self.cell(camera.eye) else { return Vec::new() };
         let sight = Sight::new(camera, size);
-        let sees = |cube: &Cube, face| sight.meets(cube, face, self.nearest(cube, face));
+        let sees = |cube: &Cube, face, patch: &Blob| sight.meets(cube, face, patch);
         let cubes = self.cubes(cell, camera.eye, &self.budget, sees);
         let of_cube = |cube: &Cube| {
-            let faces: Vec<Draw> = faces_of(cube)
-                .filter(|(face, _)| sees(cube, *face))
-                .map(|(face, blob)| face_draw(&self.skeleton, cube, face, blob, camera.eye))
+            let patches = self.patches(cube).filter(|(face, _, patch)| sees(cube, *face, patch));
+            let draws: Vec<Draw> = patches
+                .map(|(face, blob, patch)| patch_draw(cube, face, blob, patch, camera.eye))
                 .collect();
-            faces
+            draws
         };
         cubes.into_iter().flat_map(of_cube).collect()
     }
 }
 
-/// The faces of a cube that show something, and their blobs.
-fn faces_of(cube: &Cube) -> impl Iterator<Item = (usize, BlobId)> + use<> {
-    let faces = cube.faces;
-    (0..6).filter(move |&face| faces[face] != NONE).map(move |face| (face, BlobId(faces[face])))
-}
-
-/// How a face is drawn for an eye ([`protocol::format::projected`]).
-fn face_draw(skeleton: &Skeleton, cube: &Cube, face: usize, blob: BlobId, eye: [f64; 3]) -> Draw {
-    let record = skeleton.blob(blob);
+/// How a patch is drawn for an eye ([`protocol::format::projected`]).
+fn patch_draw(cube: &Cube, face: usize, blob: BlobId, patch: &Blob, eye: [f64; 3]) -> Draw {
     let FaceAxes { forward, right, up } = FACES[face];
-    let unit = 2.0 / f64::from(record.image[0] * SUBPIXELS);
+    let pixel = 2.0 / f64::from(cube.side);
+    let unit = pixel / f64::from(SUBPIXELS);
+    let [left, top] = [0, 1].map(|k| patch.origin[k] * pixel - 1.0);
     let vector = |of: &dyn Fn(usize) -> f64| std::array::from_fn(|k| of(k) as f32);
     Draw {
         blob,
@@ -114,15 +111,15 @@ fn face_draw(skeleton: &Skeleton, cube: &Cube, face: usize, blob: BlobId, eye: [
         linear: [
             vector(&|k| right[k] * unit),
             vector(&|k| -up[k] * unit),
-            vector(&|k| (cube.eye[k] - eye[k]) * record.step),
+            vector(&|k| (cube.eye[k] - eye[k]) * patch.step),
         ],
-        offset: vector(&|k| forward[k] - right[k] + up[k]),
+        offset: vector(&|k| forward[k] + right[k] * left - up[k] * top),
         distance: 0.0,
-        disparity_step: record.step as f32,
+        disparity_step: patch.step as f32,
     }
 }
 
-/// What a camera sees, for culling faces.
+/// What a camera sees, for culling patches.
 struct Sight {
     eye: DVec3,
     /// Normals of the frustum's sides, inwards.
@@ -135,20 +132,22 @@ impl Sight {
         Self { eye: DVec3::from_array(camera.eye), sides }
     }
 
-    /// Whether something of a face, which shows nothing nearer than `nearest`, may lie in the picture: no
-    /// side of the frustum has all of its pyramid, from there to infinity, beyond it.
-    fn meets(&self, cube: &Cube, face: usize, nearest: f64) -> bool {
+    /// Whether something of a patch may lie in the picture: no side of the frustum has all of the pyramid over
+    /// its window, from the nearest that the patch can show to infinity, beyond it.
+    fn meets(&self, cube: &Cube, face: usize, patch: &Blob) -> bool {
         let apex = DVec3::from_array(cube.eye) - self.eye;
-        let [forward, right, up] = {
-            let FaceAxes { forward, right, up } = FACES[face];
-            [forward, right, up].map(DVec3::from_array)
+        // The greatest disparity that its grid holds.
+        let nearest = 1.0 / (patch.step * f64::from(POSITION_MAX));
+        let FaceAxes { forward, right, up } = FACES[face];
+        let [forward, right, up] = [forward, right, up].map(DVec3::from_array);
+        let pixel = 2.0 / f64::from(cube.side);
+        let ends = |k: usize| {
+            let first = patch.origin[k] * pixel - 1.0;
+            [first, first + f64::from(patch.image[0]) * pixel]
         };
-        let corners = [
-            forward + right + up,
-            forward + right - up,
-            forward - right + up,
-            forward - right - up,
-        ];
+        let (across, down) = (ends(0), ends(1));
+        let corners = [(0, 0), (0, 1), (1, 0), (1, 1)];
+        let corners = corners.map(|(x, y)| forward + right * across[x] - up * down[y]);
         self.sides.iter().all(|side| {
             corners
                 .iter()
@@ -164,59 +163,64 @@ mod tests {
     const SIZE: PictureSize = PictureSize { width: 64, height: 48 };
 
     fn cube(eye: [f64; 3]) -> Cube {
-        Cube { eye, faces: [0, 1, 2, 3, 4, 5], parent: NONE, triangles: 6 }
+        Cube { eye, patches: [0, 1, 2, 3, 4, 5, 6], side: 64, parent: NONE, triangles: 6 }
+    }
+
+    /// A patch whose window begins at a column and row and has a side, pixels; it shows nothing nearer than 0.7.
+    fn patch(at: [u32; 2], side: u32) -> Blob {
+        let origin = [f64::from(at[0]), f64::from(at[1]), 0.0];
+        let step = 1.0 / (0.7 * f64::from(POSITION_MAX));
+        Blob { origin, step, image: [side, 0], ..Blob::default() }
     }
 
     #[test]
-    fn a_face_is_seen_where_a_point_of_it_is_in_the_picture() {
+    fn a_patch_is_seen_where_a_point_of_it_is_in_the_picture() {
         use rand::{Rng, SeedableRng, rngs::StdRng};
         let mut rng = StdRng::seed_from_u64(3);
         let mut of =
             |reach: f64| -> [f64; 3] { std::array::from_fn(|_| rng.random_range(-reach..reach)) };
-        let (mut seen, mut hidden) = (0, 0);
+        let windows = [patch([0, 0], 64), patch([16, 0], 32), patch([48, 32], 16)];
+        let mut seen = [0; 3];
+        let mut hidden = [0; 3];
         for _ in 0..300 {
             let (eye, target) = (of(1.0), of(5.0));
             let camera = Camera::look_at(eye, target, [0.0, 0.0, 1.0], 60.0, 0.01).unwrap();
             let cube = cube(of(1.0));
             let sight = Sight::new(&camera, SIZE);
             for (face, FaceAxes { forward, right, up }) in FACES.into_iter().enumerate() {
-                let any = (0..200).any(|_| {
-                    let [a, b, z] = of(1.0);
-                    let depth = 0.7 + 50.0 * (z + 1.0);
-                    let p: [f64; 3] = std::array::from_fn(|k| {
-                        cube.eye[k] + depth * (forward[k] + a * right[k] + b * up[k]) - eye[k]
+                for (k, window) in windows.iter().enumerate() {
+                    let (least, most) =
+                        ([0, 1].map(|k| window.origin[k]), f64::from(window.image[0]));
+                    let any = (0..200).any(|_| {
+                        let [a, b, z] = of(1.0);
+                        let place =
+                            |at: f64, least: f64| (least + 0.5 * (at + 1.0) * most) / 32.0 - 1.0;
+                        let (a, b) = (place(a, least[0]), place(b, least[1]));
+                        let depth = 0.7 + 50.0 * (z + 1.0);
+                        let p: [f64; 3] = std::array::from_fn(|k| {
+                            cube.eye[k] + depth * (forward[k] + a * right[k] - b * up[k]) - eye[k]
+                        });
+                        sight.sides.iter().all(|side| side.dot(DVec3::from_array(p)) > 0.0)
                     });
-                    sight.sides.iter().all(|side| side.dot(DVec3::from_array(p)) > 0.0)
-                });
-                assert!(!any || sight.meets(&cube, face, 0.7));
-                seen += usize::from(any);
-                hidden += usize::from(!sight.meets(&cube, face, 0.7));
+                    let meets = sight.meets(&cube, face, window);
+                    assert!(!any || meets);
+                    seen[k] += usize::from(any);
+                    hidden[k] += usize::from(!meets);
+                }
             }
         }
-        assert!(seen > 100 && hidden > 100, "{seen} {hidden}");
+        assert!(seen.iter().chain(&hidden).all(|&count| count > 80), "{seen:?} {hidden:?}");
+        assert!(hidden.is_sorted_by(|a, b| a < b), "the smaller, the less is seen: {hidden:?}");
     }
 
     #[test]
     fn a_draw_takes_a_vertex_to_its_point() {
-        let skeleton = {
-            let blob = protocol::format::Blob { step: 0.25, image: [64, 0], ..Default::default() };
-            Skeleton {
-                info: Default::default(),
-                hlods: vec![],
-                levels: vec![],
-                parts: vec![],
-                blobs: vec![blob; 6],
-                transforms: vec![],
-                textures: vec![],
-                view_cells: vec![],
-                cubes: vec![],
-            }
-        };
+        let patch = Blob { step: 0.25, ..patch([16, 0], 48) };
         let (cube, eye) = (cube([10.0, 20.0, 30.0]), [11.0, 19.0, 30.5]);
         for (face, FaceAxes { forward, right, up }) in FACES.into_iter().enumerate() {
-            let draw = face_draw(&skeleton, &cube, face, BlobId(face as u32), eye);
-            // Pixel (48, 8) of 64, disparity 0.5.
-            let grid = [48.0 * 16.0, 8.0 * 16.0, 2.0];
+            let draw = patch_draw(&cube, face, BlobId(face as u32), &patch, eye);
+            // Pixel (48, 8) of the face, which is (32, 8) of the window; disparity 0.5.
+            let grid = [32.0 * 16.0, 8.0 * 16.0, 2.0];
             for k in 0..3 {
                 let linear = (0..3).map(|j| draw.linear[j][k] * grid[j]).sum::<f32>();
                 let point = cube.eye[k] + 2.0 * (forward[k] + 0.5 * right[k] + 0.75 * up[k]);

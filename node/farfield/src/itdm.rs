@@ -5,7 +5,7 @@ use crate::adjacency::{Adjacency, Tests};
 use crate::cube::{BakedCube, Viewpoints, faces};
 use crate::method::Method;
 use crate::neighbours::Pixel;
-use crate::redundancy::{Surviving, Tolerance, overlapping, surviving};
+use crate::redundancy::{Surviving, Tolerance, dilated, overlapping, surviving};
 use crate::sample::Sample;
 use crate::tree::DependencyTree;
 use protocol::format::Method as Number;
@@ -56,13 +56,13 @@ pub fn encode(
         encoded.points += whole;
         encoded.redundant += whole - count(&left);
         let others = samples.iter().enumerate().filter(|(other, _)| *other != at);
-        let shown = overlapping(sample, &left);
         let others = others.map(|(_, other)| other);
         let adjacency =
-            Adjacency::of_some(sample, others, &Tests::default(), &around(sample, &shown));
+            Adjacency::of_some(sample, others, &Tests::default(), &around(sample, &left));
         let joined = |a: Pixel, b: Pixel| {
             a.step_to(sample.side, b).is_some_and(|step| adjacency.adjacent(a, step))
         };
+        let shown = overlapping(sample, &left, &joined);
         encoded.cubes.push(BakedCube {
             eye: sample.eye,
             parent: tree.parents[at].and_then(place_of),
@@ -72,9 +72,9 @@ pub fn encode(
     encoded
 }
 
-/// The pixels that meet at corners of those shown: they, those beside them, and the borders of faces.
-fn around(sample: &Sample, shown: &Surviving) -> Surviving {
-    let mut around = overlapping(sample, shown);
+/// The pixels that meet at corners of those that survive or overlap, and the borders of faces.
+fn around(sample: &Sample, surviving: &Surviving) -> Surviving {
+    let mut around = dilated(sample, &dilated(sample, surviving));
     let last = sample.side - 1;
     for face in &mut around {
         for at in 0..sample.side {

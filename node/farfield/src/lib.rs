@@ -13,6 +13,7 @@ pub mod itdm;
 pub mod method;
 pub mod neighbours;
 pub mod objective;
+pub mod patches;
 pub mod picture;
 pub mod placement;
 mod raster;

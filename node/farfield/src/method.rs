@@ -60,7 +60,7 @@ mod tests {
             object: NONE,
             source_triangles: 0,
         };
-        let face = Blob {
+        let patch = Blob {
             step: 0.25,
             triangles: TRIANGLES as u32,
             classes: Class::OpaqueDouble.all(TRIANGLES as u32),
@@ -76,10 +76,12 @@ mod tests {
             let first_cube = cubes.len() as u32;
             let count = if number == Number::None { 0 } else { CUBES };
             for place in 0..count {
-                let faces = std::array::from_fn(|_| {
-                    let is_there = rng.random_bool(0.8);
-                    blobs.extend(is_there.then_some(face));
-                    if is_there { blobs.len() as u32 - 1 } else { NONE }
+                let patches = std::array::from_fn(|at| {
+                    let start = blobs.len() as u32;
+                    // Up to three for each of the six faces.
+                    let count = if at < 6 { rng.random_range(0..4) } else { 0 };
+                    blobs.extend((0..count).map(|_| patch));
+                    start
                 });
                 let parent = match place {
                     0 => NONE,
@@ -87,11 +89,11 @@ mod tests {
                     _ => first_cube,
                 };
                 let [x, y, z] = std::array::from_fn(|_| rng.random_range(0.0..1.0));
-                let triangles =
-                    faces.iter().filter(|face| **face != NONE).count() as u64 * TRIANGLES;
+                let triangles = u64::from(blobs.len() as u32 - patches[0]) * TRIANGLES;
                 cubes.push(Cube {
                     eye: [at + x, y, z],
-                    faces,
+                    patches,
+                    side: 16,
                     parent,
                     triangles: triangles as u32,
                 });

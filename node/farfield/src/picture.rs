@@ -1,43 +1,52 @@
 //! The picture of a face as it is stored: the tiles that a mesh shows, in BC1.
 
 use crate::depth_mesh::simplify::FaceMesh;
+use crate::patches::Window;
 use crate::sample::FacePicture;
 use protocol::format::projected::{SUBPIXELS, TILE, TILE_BYTES};
 use texpresso::{Format, Params};
 
-/// A face's stored picture ([`protocol::format::projected`]).
+/// A patch's stored picture ([`protocol::format::projected`]).
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct StoredPicture {
-    /// By tile, 0 or 1 + its place among the stored.
+    /// By tile of the window, 0 or 1 + its place among the stored.
     pub table: Vec<u32>,
     /// The stored tiles.
     pub tiles: Vec<u8>,
 }
 
-/// Stores the tiles that triangles of `mesh` reach into. Pixels without a colour of their own take the one of
-/// a neighbour that has, so that a filter over the edge of what is shown finds nothing dark.
-pub fn stored_picture(picture: &FacePicture, side: u32, mesh: &FaceMesh) -> StoredPicture {
-    let across = side / TILE;
+/// Stores the tiles of a window that triangles of `mesh` reach into. Pixels without a colour of their own take the
+/// one of a neighbour that has, so that a filter over the edge of what is shown finds nothing dark.
+pub fn stored_picture(
+    picture: &FacePicture,
+    side: u32,
+    mesh: &FaceMesh,
+    triangles: &[[u32; 3]],
+    window: Window,
+) -> StoredPicture {
+    let Window { at: [left, top], across } = window;
     let mut is_shown = vec![false; (across * across) as usize];
-    for triangle in &mesh.triangles {
+    for triangle in triangles {
         let corners = triangle.map(|v| mesh.vertices[v as usize]);
         let tiles = |k: usize| {
             let least = corners.iter().map(|c| c[k]).min().unwrap_or(0) / SUBPIXELS;
             let most = corners.iter().map(|c| c[k]).max().unwrap_or(0).div_ceil(SUBPIXELS);
             // A filter reaches half a pixel beyond.
-            least.saturating_sub(1) / TILE..(most / TILE + 1).min(across)
+            let first = least.saturating_sub(1) / TILE;
+            first.max(window.at[k])..(most / TILE + 1).min(window.at[k] + across)
         };
         for row in tiles(1) {
             for column in tiles(0) {
                 let reached = || meets(corners, [column, row]);
-                let shown = &mut is_shown[(row * across + column) as usize];
+                let shown = &mut is_shown[((row - top) * across + column - left) as usize];
                 *shown = *shown || reached();
             }
         }
     }
     let mut stored = StoredPicture { table: vec![0; is_shown.len()], tiles: Vec::new() };
     for (at, _) in is_shown.iter().enumerate().filter(|(_, shown)| **shown) {
-        stored.tiles.extend(tile(picture, side, [at as u32 % across, at as u32 / across]));
+        let tile_at = [left + at as u32 % across, top + at as u32 / across];
+        stored.tiles.extend(tile(picture, side, tile_at));
         stored.table[at] = (stored.tiles.len() / TILE_BYTES) as u32;
     }
     stored
@@ -86,7 +95,7 @@ fn tile(picture: &FacePicture, side: u32, [column, row]: [u32; 2]) -> Vec<u8> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use protocol::format::projected::Face;
+    use protocol::format::projected::Patch;
     use rand::{Rng, SeedableRng, rngs::StdRng};
 
     fn picture(side: u32, color: impl Fn(u32, u32) -> [u8; 3]) -> FacePicture {
@@ -102,9 +111,33 @@ mod tests {
         FaceMesh { vertices, triangles: vec![[0, 1, 2]], step: 1.0, error_px: 0.0 }
     }
 
+    /// Of a whole face in one window.
+    fn stored(picture: &FacePicture, side: u32, mesh: &FaceMesh) -> StoredPicture {
+        let window = Window { at: [0; 2], across: side / TILE };
+        stored_picture(picture, side, mesh, &mesh.triangles, window)
+    }
+
+    #[test]
+    fn a_window_is_a_part_of_the_whole() {
+        let mesh = triangle([[0, 0], [0, 64], [64, 64]]);
+        let picture = picture(64, |x, y| [x as u8, y as u8, 7]);
+        let whole = stored(&picture, 64, &mesh);
+        let window = Window { at: [1, 2], across: 2 };
+        let part = stored_picture(&picture, 64, &mesh, &mesh.triangles, window);
+        let tile = |of: &StoredPicture, at: usize| {
+            let place = of.table[at].checked_sub(1).map(|place| place as usize * TILE_BYTES);
+            place.map(|at| of.tiles[at..at + TILE_BYTES].to_vec())
+        };
+        for (x, y) in [(0, 0), (1, 0), (0, 1), (1, 1)] {
+            let of_whole = tile(&whole, (y + 2) * 4 + x + 1);
+            assert!(of_whole.is_some());
+            assert_eq!(tile(&part, y * 2 + x), of_whole, "{x} {y}");
+        }
+    }
+
     #[test]
     fn a_face_without_triangles_stores_no_tile() {
-        let stored = stored_picture(&picture(32, |_, _| [9; 3]), 32, &FaceMesh::default());
+        let stored = stored(&picture(32, |_, _| [9; 3]), 32, &FaceMesh::default());
         assert_eq!(stored, StoredPicture { table: vec![0; 4], tiles: vec![] });
     }
 
@@ -112,7 +145,7 @@ mod tests {
     fn tiles_that_a_triangle_reaches_are_stored_and_no_others() {
         // The diagonal half of a face of 8x8 tiles.
         let mesh = triangle([[0, 0], [0, 128], [128, 128]]);
-        let stored = stored_picture(&picture(128, |_, _| [9; 3]), 128, &mesh);
+        let stored = stored(&picture(128, |_, _| [9; 3]), 128, &mesh);
         let is_stored = |x: usize, y: usize| stored.table[y * 8 + x] > 0;
         for (x, y) in (0..8).flat_map(|x| (0..8).map(move |y| (x, y))) {
             assert!(is_stored(x, y) || x > y, "{x} {y}");
@@ -134,10 +167,15 @@ mod tests {
                 let n = if smooth { 0 } else { noise[(y * 64 + x) as usize] };
                 [60 + 2 * x as u8 + n, 100 + y as u8 + n, 90 + n]
             });
-            let stored = stored_picture(&truth, 64, &mesh);
+            let stored = stored(&truth, 64, &mesh);
             let table: Vec<u8> = stored.table.iter().flat_map(|t| t.to_le_bytes()).collect();
-            let face =
-                Face { side: 64, vertices: &[], indices: &[], table: &table, tiles: &stored.tiles };
+            let face = Patch {
+                side: 64,
+                vertices: &[],
+                indices: &[],
+                table: &table,
+                tiles: &stored.tiles,
+            };
             for (x, y) in (0..64).flat_map(|x| (x..64).map(move |y| (x, y))) {
                 let (found, truth) = (face.pixel(x, y), truth.color[(y * 64 + x) as usize]);
                 let off = (0..3).map(|k| found[k].abs_diff(truth[k])).max().unwrap();
@@ -152,10 +190,15 @@ mod tests {
         let mut rng = StdRng::seed_from_u64(2);
         for _ in 0..500 {
             let color: [u8; 3] = std::array::from_fn(|_| rng.random());
-            let stored = stored_picture(&picture(16, |_, _| color), 16, &mesh);
+            let stored = stored(&picture(16, |_, _| color), 16, &mesh);
             let table: Vec<u8> = stored.table.iter().flat_map(|t| t.to_le_bytes()).collect();
-            let face =
-                Face { side: 16, vertices: &[], indices: &[], table: &table, tiles: &stored.tiles };
+            let face = Patch {
+                side: 16,
+                vertices: &[],
+                indices: &[],
+                table: &table,
+                tiles: &stored.tiles,
+            };
             let found = face.pixel(7, 9);
             assert!((0..3).all(|k| found[k].abs_diff(color[k]) <= 4), "{found:?} {color:?}");
         }
@@ -169,10 +212,10 @@ mod tests {
                 (half.disparity[at], half.color[at]) = (0.0, [0; 3]);
             }
         }
-        let stored = stored_picture(&half, 32, &triangle([[0, 0], [0, 32], [10, 32]]));
+        let stored = stored(&half, 32, &triangle([[0, 0], [0, 32], [10, 32]]));
         let table: Vec<u8> = stored.table.iter().flat_map(|t| t.to_le_bytes()).collect();
         let face =
-            Face { side: 32, vertices: &[], indices: &[], table: &table, tiles: &stored.tiles };
+            Patch { side: 32, vertices: &[], indices: &[], table: &table, tiles: &stored.tiles };
         assert!((0..32).all(|y| face.pixel(10, y)[1] > 190), "{:?}", face.pixel(10, 3));
     }
 }

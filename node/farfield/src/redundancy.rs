@@ -1,5 +1,6 @@
 //! What a delta sample need not hold: points that an ancestor has seen (paper 000, section 4.1.2).
 
+use crate::neighbours::{Pixel, STEPS};
 use crate::sample::Sample;
 use glam::DVec3;
 
@@ -8,16 +9,16 @@ use glam::DVec3;
 pub struct Tolerance {
     /// Share of the view depth that stands for the depth's own precision.
     pub depth_share: f64,
-    /// Pixels of the ancestor by which the points may lie apart.
+    /// Pixels of the ancestor by which a point may lie before or behind its surface.
     pub pixels: f64,
 }
 
 impl Default for Tolerance {
     /// A depth is a 32-bit float proportional to the disparity, so it is known to within 2^-24 of itself;
     /// what it is computed from (coordinates relative to the eye, in f32, on a grid) loses more, 2^-16
-    /// with a wide margin. The two samples see the surface at different pixel centres: a point
-    /// lies up to `sqrt(1/2)` of the ancestor's pixels from the centre it falls to, and the element
-    /// found there lies on the same surface up to as far again along a surface that is seen at 45 degrees.
+    /// with a wide margin. Each sample is taken of meshes that err by half a pixel
+    /// ([`crate::capture::LOD_PX`]), so two may disagree by one; another half is for a surface that bends between
+    /// the pixels of the ancestor.
     fn default() -> Self {
         Self { depth_share: 1.0 / (1 << 16) as f64, pixels: 1.5 }
     }
@@ -49,33 +50,71 @@ pub fn surviving(sample: &Sample, ancestors: &[&Sample], tolerance: &Tolerance) 
     })
 }
 
-/// Whether the element of `other` in the direction of `point` is that point.
+/// Whether a surface that `other` shows goes through `point`: that of one of the four pixels around it, each
+/// extended to there as it is inclined.
+///
+/// One pixel alone would not do: a point beside a silhouette falls into a pixel behind it as often as not, so the
+/// rims of all that is seen would survive. Nor would its element as it is: on a surface that is met at
+/// a grazing angle it lies far away.
 fn has_seen(other: &Sample, point: DVec3, tolerance: &Tolerance) -> bool {
     let Some((face, [u, v], depth)) = other.project(point - other.eye) else { return false };
-    let last = f64::from(other.side - 1);
-    let (x, y) = (u.floor().clamp(0.0, last) as u32, v.floor().clamp(0.0, last) as u32);
-    let reach = tolerance.at(depth, other.side);
-    other.point(face, x, y).is_some_and(|seen| seen.distance(point) <= reach)
+    let reach = tolerance.at(depth, other.side) / (depth * depth);
+    let (x, y) = ((u - 0.5).floor() as i64, (v - 0.5).floor() as i64);
+    [[x, y], [x + 1, y], [x, y + 1], [x + 1, y + 1]].into_iter().any(|at| {
+        let extended = extended(other, face, at, [u, v]);
+        extended.is_some_and(|disparity| (disparity - 1.0 / depth).abs() <= reach)
+    })
 }
 
-/// Lets what survives overlap with what an ancestor shows by one pixel, so that no crack opens between
-/// the two: every pixel beside a surviving one that shows something survives, too.
-pub fn overlapping(sample: &Sample, surviving: &Surviving) -> Surviving {
-    let side = i64::from(sample.side);
-    std::array::from_fn(|face| {
-        let survives = |x: i64, y: i64| {
-            (0..side).contains(&x)
-                && (0..side).contains(&y)
-                && surviving[face][(y * side + x) as usize]
-        };
-        (0..side * side)
-            .map(|at| {
-                let (x, y) = (at % side, at / side);
-                let beside = (-1..=1).any(|dy| (-1..=1).any(|dx| survives(x + dx, y + dy)));
-                beside && sample.faces[face].disparity[at as usize] > 0.0
-            })
-            .collect()
+/// The disparity at `to`, pixels, of the surface that the pixel `at` of a face shows: linear, with the lesser
+/// of its steps to the pixels on both sides, which is the one on the same surface.
+fn extended(sample: &Sample, face: usize, at: [i64; 2], to: [f64; 2]) -> Option<f64> {
+    let disparity = |[x, y]: [i64; 2]| {
+        let inside = 0..i64::from(sample.side);
+        let seen = inside.contains(&x) && inside.contains(&y);
+        let of = || sample.faces[face].disparity[sample.index(x as u32, y as u32)];
+        seen.then(of).filter(|&disparity| disparity > 0.0).map(f64::from)
+    };
+    let here = disparity(at)?;
+    let slope = |[dx, dy]: [i64; 2]| {
+        let behind = disparity([at[0] - dx, at[1] - dy]).map(|before| here - before);
+        let ahead = disparity([at[0] + dx, at[1] + dy]).map(|after| after - here);
+        let steps = [behind, ahead].into_iter().flatten();
+        steps.min_by(|a, b| a.abs().total_cmp(&b.abs())).unwrap_or(0.0)
+    };
+    let [du, dv] = [0, 1].map(|k| to[k] - at[k] as f64 - 0.5);
+    Some(here + du * slope([1, 0]) + dv * slope([0, 1]))
+}
+
+/// What survives, and the pixels beside it that show something.
+pub fn dilated(sample: &Sample, surviving: &Surviving) -> Surviving {
+    grown(sample, surviving, |_, to| {
+        sample.faces[to.face].disparity[sample.index(to.x, to.y)] > 0.0
     })
+}
+
+/// Lets what survives overlap with what an ancestor shows of the same surface by one pixel, so that no crack
+/// opens between the two: every pixel joined to a surviving one beside it survives, too.
+pub fn overlapping(
+    sample: &Sample,
+    surviving: &Surviving,
+    joined: &impl Fn(Pixel, Pixel) -> bool,
+) -> Surviving {
+    grown(sample, surviving, joined)
+}
+
+/// Adds the neighbours of what survives, within its face, to which `goes` from there.
+fn grown(sample: &Sample, surviving: &Surviving, goes: impl Fn(Pixel, Pixel) -> bool) -> Surviving {
+    let side = sample.side;
+    let mut found = surviving.clone();
+    for (index, _) in surviving.iter().flatten().enumerate().filter(|(_, survives)| **survives) {
+        let from = Pixel::of_index(side, index);
+        let beside = (0..STEPS.len()).filter_map(|step| from.neighbour(side, step));
+        for to in beside.filter(|to| to.face == from.face && goes(from, *to)) {
+            found[to.face][sample.index(to.x, to.y)] = true;
+        }
+    }
+    found
 }
 
 #[cfg(test)]
@@ -165,7 +204,7 @@ mod tests {
         sample.faces[2].disparity[5 * 16 + 6] = 0.0;
         let mut surviving: Surviving = std::array::from_fn(|_| vec![false; 256]);
         surviving[2][5 * 16 + 5] = true;
-        let grown = overlapping(&sample, &surviving);
+        let grown = dilated(&sample, &surviving);
         assert_eq!(grown[2].iter().filter(|kept| **kept).count(), 8);
         assert!(!grown[2][5 * 16 + 6] && grown[2][4 * 16 + 4]);
         assert!(grown[0].iter().all(|kept| !kept));

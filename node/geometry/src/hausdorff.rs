@@ -19,7 +19,7 @@
 use crate::mesh::Mesh;
 use fans::NONE;
 use glam::DVec3;
-use std::collections::BinaryHeap;
+use std::collections::{BinaryHeap, HashSet};
 
 mod fans;
 mod surface;
@@ -69,8 +69,20 @@ pub fn directed(from: &Mesh, to: &Surface, goal: &Goal) -> Bound {
     directed_but(from, to, &[], goal, f64::INFINITY).0
 }
 
-/// The same for those triangles of `from` of which nothing was seen farther away than `limit`; the
-/// others are returned, ascending.
+/// A point that was seen farther away than a limit.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Stray {
+    /// The triangle it lies in.
+    pub triangle: u32,
+    /// Where.
+    pub at: DVec3,
+    /// How far away it is, unless something nearer was overlooked.
+    pub distance: f64,
+}
+
+/// The same for those triangles of `from` that nothing is known of to be farther away than `limit`; of each of
+/// the others a point is returned, triangles ascending. Where the budget ends before a triangle is known to
+/// lie within a finite limit, it counts as one of the others.
 ///
 /// `places` are those of the vertices of `from`, numbered as those that `to` was prepared with, or
 /// empty. They save searches. Nothing is taken for granted from them: what is wrong in them costs time,
@@ -81,14 +93,19 @@ pub fn directed_but(
     places: &[u32],
     goal: &Goal,
     limit: f64,
-) -> (Bound, Vec<u32>) {
+) -> (Bound, Vec<Stray>) {
     assert!(places.is_empty() || places.len() == from.vertices.len(), "one place a vertex");
     if from.triangles.is_empty() {
         return (Bound { upper: 0.0, lower: 0.0 }, Vec::new());
     }
     if to.triangles.is_empty() {
         if limit < f64::INFINITY {
-            let all = (0..from.triangles.len() as u32).collect();
+            let all = from.triangles.iter().zip(0..).map(|(corners, triangle)| Stray {
+                triangle,
+                at: from.vertices[corners[0] as usize].position,
+                distance: f64::INFINITY,
+            });
+            let all = all.collect();
             return (Bound { upper: 0.0, lower: 0.0 }, all);
         }
         return (Bound { upper: f64::INFINITY, lower: f64::INFINITY }, Vec::new());
@@ -105,24 +122,37 @@ pub fn directed_but(
         let piece = prover.piece(*triangle);
         prover.look(piece.middle(), piece.near[0], prover.seen);
     }
+    prover.strayed = None;
     let mut left = goal.budget;
     let mut unsettled = BinaryHeap::new();
     for (triangle, id) in from.triangles.iter().zip(0..) {
-        prover.strayed = false;
+        prover.triangle = id;
         left -= prover.settle(*triangle, left.min(CUTS_AT_ONCE));
-        if prover.strayed {
-            far.push(id);
+        if let Some((at, distance)) = prover.strayed.take() {
+            far.push(Stray { triangle: id, at: at + to.origin, distance });
             prover.open.clear();
         }
         unsettled.extend(prover.open.drain(..));
     }
+    // Those that stray only here.
+    let mut has_strayed = HashSet::new();
     // Worst first: none that ends below the bound is ever cut.
     while let Some(worst) = unsettled.pop() {
+        if has_strayed.contains(&worst.triangle) {
+            continue;
+        }
         if worst.upper <= prover.wanted || left == 0 || worst.piece.depth >= DEEPEST {
+            if limit < f64::INFINITY && worst.upper > prover.wanted.max(limit) {
+                let at = worst.piece.middle() + to.origin;
+                far.push(Stray { triangle: worst.triangle, at, distance: worst.upper });
+                has_strayed.insert(worst.triangle);
+                continue;
+            }
             prover.proven = prover.proven.max(worst.upper * worst.upper);
             break;
         }
         left -= 1;
+        prover.triangle = worst.triangle;
         for part in prover.cut(&worst) {
             if !prover.near_a_corner(&part)
                 && let Some(open) = prover.near_its_middle(part)
@@ -130,7 +160,12 @@ pub fn directed_but(
                 unsettled.push(Open { upper: open.upper.min(worst.upper), ..open });
             }
         }
+        if let Some((at, distance)) = prover.strayed.take() {
+            far.push(Stray { triangle: worst.triangle, at: at + to.origin, distance });
+            has_strayed.insert(worst.triangle);
+        }
     }
+    far.sort_by_key(|stray| stray.triangle);
     (prover.bound(), far)
 }
 
@@ -203,6 +238,8 @@ impl Piece {
 struct Open {
     /// Proven for the piece, rounding aside.
     upper: f64,
+    /// The triangle it is of.
+    triangle: u32,
     /// The triangle near its middle.
     near: u32,
     piece: Piece,
@@ -247,8 +284,10 @@ struct Prover<'a> {
     /// Greatest distance seen, up to the limit.
     seen: f64,
     limit: f64,
-    /// Something farther away than the limit was seen.
-    strayed: bool,
+    /// Something farther away than the limit that was seen, and how far.
+    strayed: Option<(DVec3, f64)>,
+    /// The triangle that is looked at.
+    triangle: u32,
     /// Square of the greatest bound of a settled piece.
     proven: f64,
     /// The triangle that settled the last piece.
@@ -274,7 +313,8 @@ impl<'a> Prover<'a> {
             wanted: enough.max(margin),
             seen: 0.0,
             limit: f64::INFINITY,
-            strayed: false,
+            strayed: None,
+            triangle: 0,
             proven: 0.0,
             hint: 0,
             waiting: Vec::new(),
@@ -300,7 +340,7 @@ impl<'a> Prover<'a> {
         let mut near = if first == NONE { self.hint } else { first };
         let distance = self.to.nearest2(p, enough * enough, &mut near).sqrt();
         if distance > self.limit {
-            self.strayed = true;
+            self.strayed = Some((p, distance));
         } else if distance > self.seen && distance > enough {
             self.seen = distance;
             self.wanted = self.wanted.max(distance * self.factor);
@@ -352,7 +392,7 @@ impl<'a> Prover<'a> {
             if self.near[v as usize] == NONE {
                 let enough = self.wanted * NEAR_SHARE;
                 let near = self.look(self.points[v as usize], NONE, enough).1;
-                if self.strayed {
+                if self.strayed.is_some() {
                     return 0;
                 }
                 self.near[v as usize] = near;
@@ -361,7 +401,7 @@ impl<'a> Prover<'a> {
         self.waiting.push(self.piece(triangle));
         let mut cuts = 0;
         while let Some(piece) = self.waiting.pop() {
-            if self.strayed {
+            if self.strayed.is_some() {
                 self.waiting.clear();
                 return cuts;
             }
@@ -448,7 +488,7 @@ impl<'a> Prover<'a> {
                 upper = upper.min(greatest.sqrt());
             }
         }
-        Some(Open { upper, near, piece })
+        Some(Open { upper, triangle: self.triangle, near, piece })
     }
 
     /// Cuts a piece along a side of a triangle that could settle the part over it; halves it if

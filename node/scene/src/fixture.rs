@@ -3,7 +3,7 @@
 
 use crate::store::Store;
 use bytemuck::Zeroable;
-use protocol::format::projected::{NewFace, TILE_BYTES};
+use protocol::format::projected::{NewPatch, TILE_BYTES};
 use protocol::format::{Class, Finished, Hlod, Level, NONE, Part, SceneInfo, SceneWriter, Tables};
 use protocol::format::{Cube, Method, Transform, Vertex, Vertices, ViewCell, Wrap};
 use protocol::id::BlobId;
@@ -37,18 +37,20 @@ pub(crate) fn write_with(path: &Path, seed: u64, change: impl FnOnce(&mut [Hlod]
     let wide = grid(&[[0, 0, 0], [5, 0, 0], [0, 1, 1]]);
     let coarse = add(1.0, &wide, &[2, 1, 0]);
 
-    let face = NewFace {
+    let face = NewPatch {
         step: 0.5,
+        at: [0; 2],
         side: 16,
         vertices: &[[0, 1 << 12], [256, 1 << 12], [0, 0]],
         indices: &[0, 1, 2],
         table: &[1],
         tiles: &[[0x5a; TILE_BYTES]],
     };
-    let BlobId(face) = writer.add_face(&face).unwrap();
+    let BlobId(face) = writer.add_patch(&face).unwrap();
     let cube = Cube {
         eye: [2.0; 3],
-        faces: [face, NONE, NONE, NONE, NONE, NONE],
+        patches: [face, face + 1, face + 1, face + 1, face + 1, face + 1, face + 1],
+        side: 16,
         parent: NONE,
         triangles: 1,
     };

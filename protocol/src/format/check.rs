@@ -131,7 +131,7 @@ fn check_hlods(skeleton: &Skeleton) -> Result<(), Violation> {
     Ok(())
 }
 
-/// Blobs one after another, each a mesh or face whose triangles all have a class.
+/// Blobs one after another, each a mesh or patch whose triangles all have a class.
 pub(super) fn check_blobs(blobs: &[Blob]) -> Result<(), Violation> {
     let mut expected = 0u64;
     for (i, blob) in blobs.iter().enumerate() {
@@ -161,8 +161,10 @@ pub(super) fn check_blobs(blobs: &[Blob]) -> Result<(), Violation> {
         hold(place, blob.origin.iter().all(|c| c.is_finite()), Rule::NotFinite)?;
         if blob.is_projected() {
             let all = Class::OpaqueDouble.all(triangles);
-            hold(place, blob.classes == all, Rule::FaceClass)?;
-            hold(place, blob.origin == [0.0; 3], Rule::FaceOrigin)?;
+            hold(place, blob.classes == all, Rule::PatchClass)?;
+            let tiles = |at: f64| at >= 0.0 && at % f64::from(projected::TILE) == 0.0;
+            let [left, top, rest] = blob.origin;
+            hold(place, tiles(left) && tiles(top) && rest == 0.0, Rule::PatchOrigin)?;
         }
     }
     Ok(())
@@ -206,7 +208,7 @@ fn check_parts(skeleton: &Skeleton) -> Result<(), Violation> {
         let Some(mesh) = skeleton.blobs.get(blob as usize) else {
             return Err(Violation { place, rule: Rule::NoBlob { blob } });
         };
-        hold(place, !mesh.is_projected(), Rule::FaceAsPart { blob })?;
+        hold(place, !mesh.is_projected(), Rule::PatchAsPart { blob })?;
         let placed = transform == NONE || (transform as usize) < skeleton.transforms.len();
         hold(place, placed, Rule::NoTransform { transform })?;
     }

@@ -1,6 +1,5 @@
 //! What far fields are in the skeleton: regions of viewpoints and the scan cubes seen from them (paper 000).
 
-use super::NONE;
 use bytemuck::{Pod, Zeroable};
 
 /// A region of viewpoints that has a far field (paper 000, section 3.1.1): 72 bytes.
@@ -46,25 +45,33 @@ impl Method {
 }
 
 /// A scan cube: what is seen from one viewpoint, or what its ancestors lack of it (paper 000, section
-/// 4.1): 56 bytes.
+/// 4.1): 64 bytes.
 #[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
 #[repr(C)]
 pub struct Cube {
     /// The sample's viewpoint, inside its cell's box, scene units.
     pub eye: [f64; 3],
-    /// Blob of each face in the order of [`super::projected::FACES`], [`NONE`] where nothing is left to
-    /// show.
-    pub faces: [u32; 6],
+    /// Where the patches of each face start among the blobs, faces in the order of
+    /// [`super::projected::FACES`], and where those of the last end. A face of which nothing is left to show has
+    /// none.
+    pub patches: [u32; 7],
+    /// Pixels along a side of a face.
+    pub side: u32,
     /// The cube of the same cell that it depends on, an index into [`super::Skeleton::cubes`] smaller than
-    /// its own; [`NONE`] for an intra cube.
+    /// its own; [`super::NONE`] for an intra cube.
     pub parent: u32,
-    /// Triangles of all its faces.
+    /// Triangles of all its patches.
     pub triangles: u32,
 }
 
 impl Cube {
-    /// Blobs of the faces it has.
-    pub fn blobs(&self) -> impl Iterator<Item = u32> + use<> {
-        self.faces.into_iter().filter(|&blob| blob != NONE)
+    /// Blobs of all its patches.
+    pub fn blobs(&self) -> std::ops::Range<u32> {
+        self.patches[0]..self.patches[6]
+    }
+
+    /// Blobs of the patches of a face.
+    pub fn patches_of(&self, face: usize) -> std::ops::Range<u32> {
+        self.patches[face]..self.patches[face + 1]
     }
 }

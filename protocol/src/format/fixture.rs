@@ -2,7 +2,7 @@
 //! an instance with two levels, the other of two parts; a view cell with an intra and a delta cube, and
 //! one without a far field.
 
-use super::projected::{NewFace, TILE_BYTES};
+use super::projected::{NewPatch, TILE_BYTES};
 use super::vertex::POSITION_MAX;
 use super::*;
 use bytemuck::Zeroable;
@@ -96,20 +96,21 @@ pub(super) fn add_blobs(writer: &mut SceneWriter) {
     add(1.0, Vertices::Plain(&wide), &[2, 1, 0], opaque(1));
     add(0.25, Vertices::Textured(&leaf()), &[0, 1, 2], Class::MaskDouble.all(1));
     let places = [[0, 0, 9], [512, 0, 9], [0, 512, POSITION_MAX], [512, 512, 0]];
-    let large = NewFace { side: 32, table: &[0, 2, 1, 0], ..face() };
+    let large = NewPatch { at: [16, 0], side: 32, table: &[0, 2, 1, 0], ..face() };
     let vertices = places.map(Vertex::pack_position);
     let tiles = [[0x11; TILE_BYTES], [0x22; TILE_BYTES]];
-    writer.add_face(&NewFace { vertices: &vertices, tiles: &tiles, ..large }).unwrap();
-    writer.add_face(&NewFace { indices: &[0, 1, 2, 0, 2, 1], ..face() }).unwrap();
-    writer.add_face(&face()).unwrap();
+    writer.add_patch(&NewPatch { vertices: &vertices, tiles: &tiles, ..large }).unwrap();
+    writer.add_patch(&NewPatch { indices: &[0, 1, 2, 0, 2, 1], ..face() }).unwrap();
+    writer.add_patch(&face()).unwrap();
 }
 
 /// A triangle over a picture of one tile.
-pub(super) fn face() -> NewFace<'static> {
+pub(super) fn face() -> NewPatch<'static> {
     // Places (0, 0), (256, 0) and (0, 256) of disparities 1, 2 and 3.
     const VERTICES: [[u32; 2]; 3] = [[0, 1 << 10], [256, 2 << 10], [256 << 21, 3 << 10]];
-    NewFace {
+    NewPatch {
         step: 0.125,
+        at: [0, 32],
         side: 16,
         vertices: &VERTICES,
         indices: &[0, 1, 2],
@@ -144,12 +145,13 @@ pub(super) fn view_cells() -> Vec<ViewCell> {
 pub(super) fn cubes() -> Vec<Cube> {
     let intra = Cube {
         eye: [0.5; 3],
-        faces: [4, NONE, NONE, NONE, 5, NONE],
+        patches: [4, 5, 5, 5, 5, 6, 6],
+        side: 48,
         parent: NONE,
         triangles: 1 + 2,
     };
-    let faces = [NONE, 6, NONE, NONE, NONE, NONE];
-    vec![intra, Cube { eye: [0.0, 0.5, 1.0], faces, parent: 0, triangles: 1 }]
+    let patches = [6, 6, 7, 7, 7, 7, 7];
+    vec![intra, Cube { eye: [0.0, 0.5, 1.0], patches, parent: 0, triangles: 1, ..intra }]
 }
 
 /// All that the writer is given in the end.

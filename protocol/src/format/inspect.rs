@@ -413,7 +413,7 @@ mod tests {
         let far =
             FarFields { none: 1, tdm: 0, itdm: 1, cubes: 2, delta_cubes: 1, triangles: 1 + 2 + 1 };
         assert_eq!(s.far_fields, far);
-        assert_eq!((s.bytes.view_cells, s.bytes.cubes), (2 * 72, 2 * 56));
+        assert_eq!((s.bytes.view_cells, s.bytes.cubes), (2 * 72, 2 * 64));
         let large = 4 * 8 + 8 + 4 * 4 + 2 * 128;
         assert_eq!(s.bytes.faces, large + (24 + 12 + 4 + 128) + (24 + 8 + 4 + 128));
         let text = s.to_string();

@@ -10,7 +10,7 @@ use bytemuck::{Pod, Zeroable};
 const _: () = assert!(cfg!(target_endian = "little"), "scene files are little-endian");
 
 /// Version of the layout; a file of another version is refused.
-pub const FORMAT_VERSION: u32 = 3;
+pub const FORMAT_VERSION: u32 = 4;
 /// Every section and every blob starts at a multiple of this many bytes.
 pub const ALIGNMENT: u64 = 64;
 
@@ -201,7 +201,7 @@ mod tests {
     fn header_is_448_bytes_and_records_have_their_documented_size() {
         assert_eq!(HEADER_BYTES, 448);
         let bytes = Section::ALL.map(Section::record_bytes);
-        assert_eq!(bytes, [64, 64, 224, 80, 24, 8, 96, 96, 32, 72, 56]);
+        assert_eq!(bytes, [64, 64, 224, 80, 24, 8, 96, 96, 32, 72, 64]);
     }
 
     #[test]

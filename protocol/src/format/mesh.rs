@@ -155,7 +155,7 @@ pub fn check_blob(blob: &Blob, bytes: &[u8], textures: u32) -> Result<(), BlobDa
         return Err(BlobDamage::Padding);
     }
     if blob.is_projected() {
-        return projected::check(&projected::Face::of(blob, bytes));
+        return projected::check(&projected::Patch::of(blob, bytes));
     }
     for (at, vertex) in (0..).zip(textured_vertices_of(blob, bytes)) {
         let TexturedVertex { tex_coord: [u, v], texture, cutoff, .. } = vertex;

@@ -1,4 +1,5 @@
-//! The inside of a projected blob: a face of a scan cube, mesh and picture in one (paper 000, section 4).
+//! The inside of a projected blob: a patch of a face of a scan cube, mesh and picture in one (paper 000,
+//! section 4).
 //!
 //! A face is a square picture of `side` pixels taken from the sample's viewpoint `c`, 90 degrees wide. With
 //! the face's axes `right`, `down`, `forward` (unit, in scene axes) a point at view depth `z` that is seen
@@ -8,8 +9,10 @@
 //! p = c + z * (forward + right * (2 u / side - 1) + down * (2 v / side - 1)),    disparity = 1 / z
 //! ```
 //!
-//! A vertex holds `u` and `v` in 1/16 pixels and the disparity in units of the blob's `step`, as the three
-//! coordinates of a grid position. Since `(u, v, disparity)` is a projective image of space, what is flat stays
+//! A **patch** is some of a face's triangles with the square window of the picture that they lie in, so that what
+//! lies outside a camera's frustum can be left out, in memory too. A vertex holds `u` and `v` from the window's top
+//! left corner (the first two coordinates of the blob's `origin`, pixels) in 1/16 pixels and the disparity in units
+//! of the blob's `step`, as the three coordinates of a grid position. Since `(u, v, disparity)` is a projective image of space, what is flat stays
 //! flat, and `(p - eye) * disparity` is linear in the three:
 //!
 //! ```text
@@ -20,7 +23,8 @@
 //! interpolated with the homogeneous clip position are where the sample saw the point: projective
 //! texturing without a second set of coordinates.
 //!
-//! Bytes: vertices, 16-bit indices, zeros up to 4 bytes, then the picture: a table of `(side / 16)^2` 32-bit
+//! Bytes: vertices, 16-bit indices, zeros up to 4 bytes, then the window's picture: for a window of `side` pixels a
+//! table of `(side / 16)^2` 32-bit
 //! numbers, row by row, 0 for a tile that no triangle shows, else 1 + its place among the stored tiles; then
 //! the tiles, 16x16 pixels each, as 16 BC1 blocks of 4x4 pixels row by row. A pixel is an sRGB-encoded
 //! colour as it was shaded when the sample was taken.
@@ -61,12 +65,12 @@ pub const FACES: [FaceAxes; 6] = [
     FaceAxes { forward: [0.0, 0.0, -1.0], right: [0.0, -1.0, 0.0], up: [1.0, 0.0, 0.0] },
 ];
 
-/// Whether a face may have this many pixels a side: whole tiles, a power of two.
+/// Whether a face or a window may have this many pixels a side: whole tiles.
 pub fn is_side(side: u32) -> bool {
-    side.is_power_of_two() && (TILE..=MAX_SIDE).contains(&side)
+    side.is_multiple_of(TILE) && (TILE..=MAX_SIDE).contains(&side)
 }
 
-/// Bytes of the picture of a face with so many stored tiles.
+/// Bytes of the picture of a window with so many stored tiles.
 pub fn image_bytes(side: u32, tiles: u32) -> u64 {
     let across = u64::from(side / TILE);
     across * across * 4 + u64::from(tiles) * TILE_BYTES as u64
@@ -77,31 +81,33 @@ pub fn most_tiles(side: u32) -> u32 {
     (side / TILE).pow(2)
 }
 
-/// A face that is to be written.
+/// A patch that is to be written.
 #[derive(Debug, Clone, Copy)]
-pub struct NewFace<'a> {
+pub struct NewPatch<'a> {
     /// Disparity of a grid unit, a power of two, 1 / scene units.
     pub step: f64,
-    /// Pixels a side.
+    /// Left and upper side of its window in the face, pixels; whole tiles.
+    pub at: [u32; 2],
+    /// Pixels along a side of the window.
     pub side: u32,
-    /// [`super::Vertex::pack_position`] of u, v and disparity.
+    /// [`super::Vertex::pack_position`] of u and v in the window, and disparity.
     pub vertices: &'a [[u32; 2]],
     /// Three a triangle.
     pub indices: &'a [u16],
-    /// An entry for each tile of the picture: 0, or 1 + its place in `tiles`.
+    /// An entry for each tile of the window: 0, or 1 + its place in `tiles`.
     pub table: &'a [u32],
     /// The tiles that are stored, each named once in `table`.
     pub tiles: &'a [[u8; TILE_BYTES]],
 }
 
-impl NewFace<'_> {
+impl NewPatch<'_> {
     /// Its bytes, and its record but for where they lie, how long they are and their checksum.
     ///
     /// # Panics
     /// If there is no such side, `table` or `tiles` are not as their docs say, a vertex lies outside the
     /// picture, or the mesh is none ([`mesh::lay_out`]).
     pub(super) fn encode(&self) -> (Blob, Vec<u8>) {
-        let &Self { step, side, vertices, indices, table, tiles } = self;
+        let &Self { step, at: [left, top], side, vertices, indices, table, tiles } = self;
         assert!(is_side(side), "a picture of {side} pixels a side");
         assert_eq!(table.len(), most_tiles(side) as usize, "entries of the tile table");
         let mut bytes = mesh::lay_out(Layout::Projected, bytemuck::cast_slice(vertices), indices);
@@ -109,6 +115,7 @@ impl NewFace<'_> {
         bytes.extend_from_slice(tiles.as_flattened());
         let triangles = (indices.len() / 3) as u32;
         let blob = Blob {
+            origin: [f64::from(left), f64::from(top), 0.0],
             step,
             vertices: vertices.len() as u32,
             triangles,
@@ -117,13 +124,13 @@ impl NewFace<'_> {
             image: [side, tiles.len() as u32],
             ..Blob::default()
         };
-        check(&Face::of(&blob, &bytes)).unwrap_or_else(|damage| panic!("no face: {damage}"));
+        check(&Patch::of(&blob, &bytes)).unwrap_or_else(|damage| panic!("no patch: {damage}"));
         (blob, bytes)
     }
 }
 
 /// Whether places lie in the picture and the table names each stored tile once.
-pub(super) fn check(face: &Face<'_>) -> Result<(), BlobDamage> {
+pub(super) fn check(face: &Patch<'_>) -> Result<(), BlobDamage> {
     let most = u64::from(face.side * SUBPIXELS);
     let (vertices, _) = face.vertices.as_chunks::<VERTEX_BYTES>();
     for (vertex, &position) in (0..).zip(vertices) {
@@ -149,7 +156,7 @@ pub(super) fn check(face: &Face<'_>) -> Result<(), BlobDamage> {
 
 /// The parts of a projected blob whose bytes have been checked.
 #[derive(Debug, Clone, Copy)]
-pub struct Face<'a> {
+pub struct Patch<'a> {
     /// Pixels a side.
     pub side: u32,
     /// Grid positions, 8 bytes each.
@@ -162,7 +169,7 @@ pub struct Face<'a> {
     pub tiles: &'a [u8],
 }
 
-impl<'a> Face<'a> {
+impl<'a> Patch<'a> {
     /// Cuts a blob's bytes.
     pub fn of(blob: &Blob, bytes: &'a [u8]) -> Self {
         let (vertices, rest) = bytes.split_at(blob.vertices as usize * VERTEX_BYTES);
@@ -229,7 +236,7 @@ mod tests {
     fn the_largest_face_fits_a_grid_position() {
         const { assert!(MAX_SIDE * SUBPIXELS < 1 << POSITION_BITS) };
         assert!(is_side(16) && is_side(512) && is_side(4096));
-        assert!(!is_side(0) && !is_side(8) && !is_side(48) && !is_side(8192));
+        assert!(is_side(48) && !is_side(0) && !is_side(8) && !is_side(40) && !is_side(8192));
     }
 
     #[test]
@@ -252,14 +259,14 @@ mod tests {
         // Second stored tile, block (1, 2): all of its first end, white.
         let block = TILE_BYTES + (2 * 4 + 1) * 8;
         tiles[block..block + 2].copy_from_slice(&[0xff, 0xff]);
-        let face = Face { side: 32, vertices: &[], indices: &[], table: &table, tiles: &tiles };
+        let face = Patch { side: 32, vertices: &[], indices: &[], table: &table, tiles: &tiles };
         assert_eq!(face.pixel(16 + 4, 16 + 8), [255; 3]);
         assert_eq!(face.pixel(16 + 8, 16 + 8), [0; 3]);
         assert_eq!(face.pixel(4, 8), [0; 3]);
         assert_eq!(image_bytes(32, 2), (table.len() + tiles.len()) as u64);
     }
     /// The face after `change` by someone who also fixed the checksum.
-    fn forged(face: &NewFace<'_>, change: impl FnOnce(&mut [u8])) -> Result<(), BlobDamage> {
+    fn forged(face: &NewPatch<'_>, change: impl FnOnce(&mut [u8])) -> Result<(), BlobDamage> {
         let (mut blob, mut bytes) = face.encode();
         change(&mut bytes);
         (blob.bytes, blob.crc) = (bytes.len() as u64, crc32c::crc32c(&bytes));
@@ -270,7 +277,7 @@ mod tests {
     fn bytes_lie_as_documented() {
         let (blob, bytes) = face().encode();
         assert_eq!(bytes.len(), 3 * 8 + 6 + 2 + 4 + 128);
-        let Face { vertices, indices, table, tiles, .. } = Face::of(&blob, &bytes);
+        let Patch { vertices, indices, table, tiles, .. } = Patch::of(&blob, &bytes);
         assert_eq!([vertices.len(), indices.len(), table.len(), tiles.len()], [24, 6, 4, 128]);
         assert_eq!(forged(&face(), |_| ()), Ok(()));
         let short = check_blob(&Blob { image: [16, 2], ..blob }, &bytes, 0);
@@ -295,18 +302,18 @@ mod tests {
     #[test]
     fn every_stored_tile_is_named_once() {
         let tiles = [[0; TILE_BYTES]; 2];
-        let large = NewFace { side: 32, table: &[0, 2, 1, 0], tiles: &tiles, ..face() };
+        let large = NewPatch { side: 32, table: &[0, 2, 1, 0], tiles: &tiles, ..face() };
         assert_eq!(forged(&large, |_| ()), Ok(()));
         let twice = BlobDamage::Tile { entry: 3, tile: 2 };
         assert_eq!(forged(&large, |b| b[32 + 12] = 2), Err(twice));
         assert_eq!(forged(&large, |b| b[32 + 8] = 0), Err(BlobDamage::StrayTile { named: 1 }));
-        let bare = NewFace { table: &[0; 4], tiles: &[], ..large };
+        let bare = NewPatch { table: &[0; 4], tiles: &[], ..large };
         assert_eq!(forged(&bare, |_| ()), Ok(()));
     }
 
     #[test]
     #[should_panic(expected = "vertex 1 lies outside its picture")]
     fn a_vertex_outside_its_picture_is_our_mistake() {
-        NewFace { vertices: &[[0; 2], [257, 0], [0; 2]], ..face() }.encode();
+        NewPatch { vertices: &[[0; 2], [257, 0], [0; 2]], ..face() }.encode();
     }
 }

@@ -5,7 +5,7 @@
 
 use super::layout::{HEADER_BYTES, Header};
 use super::mesh;
-use super::projected::NewFace;
+use super::projected::NewPatch;
 use super::texture::{self, Texture, Wrap};
 use super::{ALIGNMENT, Blob, Digest, Hlod, Level, NONE, Part, SceneInfo, Section, Skeleton};
 use super::{Class, Cube, Transform, Vertices, ViewCell, Violation, check};
@@ -243,9 +243,9 @@ impl SceneWriter {
     /// name.
     ///
     /// # Panics
-    /// If its step is no power of two, it is not as the docs of [`NewFace`] say, a vertex lies outside its
+    /// If its step is no power of two, it is not as the docs of [`NewPatch`] say, a vertex lies outside its
     /// picture, its mesh breaks the rules of [`SceneWriter::add_blob`], or there is a texture already.
-    pub fn add_face(&mut self, face: &NewFace<'_>) -> Result<BlobId, WriteError> {
+    pub fn add_patch(&mut self, face: &NewPatch<'_>) -> Result<BlobId, WriteError> {
         assert!(check::is_power_of_two(face.step), "step {} is no power of two", face.step);
         let (blob, bytes) = face.encode();
         self.push(blob, &bytes)
@@ -306,6 +306,11 @@ impl SceneWriter {
         });
         self.pixel_bytes += self.append(&bytes)?;
         Ok(index)
+    }
+
+    /// Blobs added before: the number of the next.
+    pub fn blob_count(&self) -> u32 {
+        self.so_far.blobs.len() as u32
     }
 
     /// A blob added before.

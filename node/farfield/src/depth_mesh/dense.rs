@@ -12,8 +12,11 @@ use std::collections::BTreeMap;
 pub struct DenseMesh {
     /// Corners of pixels, `(u, v)` in whole pixels, and the disparity there.
     pub vertices: Vec<DenseVertex>,
-    /// Two for each pixel, counter-clockwise in a picture whose rows go down.
+    /// Two for each pixel, counter-clockwise in a picture whose rows go down: that of its upper left half, then
+    /// that of its lower right one.
     pub triangles: Vec<[u32; 3]>,
+    /// The pixels, row by row.
+    pub pixels: Vec<[u32; 2]>,
 }
 
 /// A vertex of it.
@@ -66,6 +69,7 @@ pub fn dense_mesh(
                 vertex
             });
             mesh.triangles.extend([[a, c, b], [b, c, d]]);
+            mesh.pixels.push([x, y]);
         }
     }
     mesh

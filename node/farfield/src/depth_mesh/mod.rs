@@ -2,4 +2,7 @@
 
 pub mod corners;
 pub mod dense;
+pub mod places;
+pub mod reference;
+pub mod sheets;
 pub mod simplify;

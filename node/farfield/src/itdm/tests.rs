@@ -81,23 +81,27 @@ fn triangles_and_skins(sample: &Sample, cube: &BakedCube) -> (usize, usize) {
     (all, skins)
 }
 
-/// Whether a cube shows a surface at `point`, or beside it.
+/// Whether a cube shows a surface at `point`, or beside it by less than a pixel: a point there is redundant.
 fn shows(sample: &Sample, cube: &BakedCube, point: DVec3) -> bool {
-    let Some((face, [u, v], depth)) = sample.project(point - cube.eye) else { return false };
+    let Some((face, place, depth)) = sample.project(point - cube.eye) else { return false };
     let Some(baked) = &cube.faces[face] else { return false };
-    let beyond = |p: DVec3, q: DVec3| (q.x - p.x) * (v - p.y) - (q.y - p.y) * (u - p.x);
-    baked.mesh.triangles.iter().any(|&triangle| {
-        let [a, b, c] = corners(baked, triangle);
-        let weights = [beyond(b, c), beyond(c, a), beyond(a, b)];
-        let area: f64 = weights.iter().sum();
-        // What is a hundredth of a pixel beside a triangle, the next one has.
-        if area == 0.0 || weights.iter().any(|weight| weight / area < -1e-2) {
-            return false;
-        }
-        let disparity = (weights[0] * a.z + weights[1] * b.z + weights[2] * c.z) / area;
-        let shown = cube.eye + sample.ray(face, u, v) / disparity;
-        shown.distance(point) <= reach(cube, disparity.min(1.0 / depth))
-    })
+    let shows_at = |u: f64, v: f64| {
+        let beyond = |p: DVec3, q: DVec3| (q.x - p.x) * (v - p.y) - (q.y - p.y) * (u - p.x);
+        baked.mesh.triangles.iter().any(|&triangle| {
+            let [a, b, c] = corners(baked, triangle);
+            let weights = [beyond(b, c), beyond(c, a), beyond(a, b)];
+            let area: f64 = weights.iter().sum();
+            // What is a hundredth of a pixel beside a triangle, the next one has.
+            if area == 0.0 || weights.iter().any(|weight| weight / area < -1e-2) {
+                return false;
+            }
+            let disparity = (weights[0] * a.z + weights[1] * b.z + weights[2] * c.z) / area;
+            let shown = cube.eye + sample.ray(face, u, v) / disparity;
+            shown.distance(point) <= reach(cube, disparity.min(1.0 / depth))
+        })
+    };
+    let beside = [-0.9, 0.0, 0.9];
+    beside.into_iter().any(|du| beside.into_iter().any(|dv| shows_at(place[0] + du, place[1] + dv)))
 }
 
 #[test]

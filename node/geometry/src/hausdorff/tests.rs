@@ -58,7 +58,8 @@ fn moved(mesh: &Mesh, scale: f64, by: f64) -> Mesh {
 }
 
 fn far(from: &Mesh, to: &Surface, limit: f64) -> Vec<u32> {
-    directed_but(from, to, &[], &TIGHT, limit).1
+    let (_, strays) = directed_but(from, to, &[], &TIGHT, limit);
+    strays.iter().map(|stray| stray.triangle).collect()
 }
 
 #[test]
@@ -187,7 +188,11 @@ fn what_is_not_told_to_be_far_is_bounded() {
     let mut rng = StdRng::seed_from_u64(7);
     let (from, to) = (heap(&mut rng, 60), Surface::new(&heap(&mut rng, 40)));
     for limit in [-1.0, 0.0, 0.05, 0.2, 0.5, 3.0] {
-        let (rest, found) = directed_but(&from, &to, &[], &TIGHT, limit);
+        let (rest, strays) = directed_but(&from, &to, &[], &TIGHT, limit);
+        for stray in &strays {
+            assert!(to.distance(stray.at, 0.0, &mut 0) > limit, "{limit} {stray:?}");
+        }
+        let found: Vec<u32> = strays.iter().map(|stray| stray.triangle).collect();
         for (t, id) in from.triangles.iter().zip(0..) {
             let alone = Mesh { triangles: vec![*t], ..from.clone() };
             let proven = directed(&alone, &to, &Goal { slack: 0.01, ..TIGHT });

@@ -27,7 +27,7 @@ fn off(a: &[u8], b: &[u8], levels: u8) -> usize {
 /// The picture of a face as its bytes say.
 fn decoded(face: &Face) -> Vec<u8> {
     let (blob, bytes) = face.blob();
-    let parts = projected::Face::of(&blob, &bytes);
+    let parts = projected::Patch::of(&blob, &bytes);
     let pixel = |at: u32| {
         let [r, g, b] = parts.pixel(at % SIDE, at / SIDE);
         [r, g, b, u8::MAX]

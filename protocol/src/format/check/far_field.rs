@@ -1,10 +1,10 @@
 //! The rules of view cells and scan cubes.
 
 use super::{Place, Rule, Violation, hold};
-use crate::format::{Cube, Method, NONE, Skeleton, ViewCell};
+use crate::format::{Cube, Method, NONE, Skeleton, ViewCell, projected};
 use crate::id::BlobId;
 
-/// View cells, their cubes, and whose face each projected blob is; the blobs are known to be good.
+/// View cells, their cubes, and whose patch each projected blob is; the blobs are known to be good.
 pub(super) fn check_far_fields(skeleton: &Skeleton) -> Result<(), Violation> {
     let mut expected = 0u32;
     for (i, cell) in skeleton.view_cells.iter().enumerate() {
@@ -46,18 +46,23 @@ fn check_cube(
     let earlier = method == Method::Itdm && (cell.first_cube..index).contains(&parent);
     hold(place, parent == NONE || earlier, Rule::CubeParent { parent })?;
     let mut found = 0;
+    hold(place, projected::is_side(cube.side), Rule::Face { side: cube.side })?;
+    hold(place, cube.patches.is_sorted(), Rule::Patches)?;
     for blob in cube.blobs() {
-        let face = skeleton.blobs.get(blob as usize).filter(|face| face.is_projected());
-        let Some(face) = face else {
-            return Err(Violation { place, rule: Rule::NoFace { blob } });
+        let patch = skeleton.blobs.get(blob as usize).filter(|patch| patch.is_projected());
+        let Some(patch) = patch else {
+            return Err(Violation { place, rule: Rule::NoPatch { blob } });
         };
-        found += u64::from(face.triangles);
+        let room = f64::from(cube.side) - f64::from(patch.image[0]);
+        let fits = patch.origin[..2].iter().all(|&at| at <= room);
+        hold(Place::Blob(BlobId(blob)), fits, Rule::Window { side: cube.side })?;
+        found += u64::from(patch.triangles);
     }
     let said = cube.triangles;
     hold(place, u64::from(said) == found, Rule::Triangles { said, found })
 }
 
-/// Each projected blob is one face of one cube.
+/// Each projected blob is one patch of one cube.
 fn check_owners(skeleton: &Skeleton) -> Result<(), Violation> {
     let mut owners = vec![0u32; skeleton.blobs.len()];
     for blob in skeleton.cubes.iter().flat_map(Cube::blobs) {
@@ -65,7 +70,7 @@ fn check_owners(skeleton: &Skeleton) -> Result<(), Violation> {
     }
     for (i, (blob, owners)) in (0..).zip(skeleton.blobs.iter().zip(owners)) {
         let place = Place::Blob(BlobId(i));
-        hold(place, owners == u32::from(blob.is_projected()), Rule::FaceOwners { owners })?;
+        hold(place, owners == u32::from(blob.is_projected()), Rule::PatchOwners { owners })?;
     }
     Ok(())
 }

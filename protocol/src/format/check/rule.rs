@@ -156,8 +156,8 @@ pub enum Rule {
         transform: u32,
     },
     /// What is drawn under a hlod's placement has vertices in its space.
-    #[error("blob {blob} is the face of a scan cube")]
-    FaceAsPart {
+    #[error("blob {blob} is a patch of a scan cube")]
+    PatchAsPart {
         /// What the part names.
         blob: u32,
     },
@@ -166,7 +166,7 @@ pub enum Rule {
     Triangles {
         /// The count.
         said: u32,
-        /// The sum over the blobs of its parts or faces.
+        /// The sum over the blobs of its parts or of its patches.
         found: u64,
     },
     /// Grid steps are powers of two.
@@ -202,7 +202,7 @@ pub enum Rule {
     /// The cutoff of a mask lies in textured vertices.
     #[error("it has masked triangles without textured vertices")]
     PlainMask,
-    /// Faces of scan cubes, and they alone, have a picture, of no more tiles than it is large.
+    /// Patches of scan cubes, and they alone, have a picture, of no more tiles than it is large.
     #[error("it cannot have a picture of {side} pixels a side and {tiles} tiles")]
     Picture {
         /// Pixels.
@@ -210,15 +210,21 @@ pub enum Rule {
         /// Stored tiles.
         tiles: u32,
     },
-    /// Faces are opaque and seen from both sides.
-    #[error("it is a face whose triangles are not all opaque and double-sided")]
-    FaceClass,
-    /// A face's places are relative to its cube's viewpoint.
-    #[error("it is a face whose origin is not zero")]
-    FaceOrigin,
-    /// Every face belongs to exactly one cube, and to one of its sides.
-    #[error("it is a face of {owners} cubes")]
-    FaceOwners {
+    /// Patches are opaque and seen from both sides.
+    #[error("it is a patch whose triangles are not all opaque and double-sided")]
+    PatchClass,
+    /// A patch's window begins where a tile of its face does.
+    #[error("it is a patch whose origin is no place of a tile in a picture")]
+    PatchOrigin,
+    /// Windows lie in their face.
+    #[error("it is a patch whose window reaches beyond its face of {side} pixels a side")]
+    Window {
+        /// Pixels of the face.
+        side: u32,
+    },
+    /// Every patch belongs to exactly one cube, and to one of its faces.
+    #[error("it is a patch of {owners} cubes")]
+    PatchOwners {
         /// How many.
         owners: u32,
     },
@@ -267,9 +273,18 @@ pub enum Rule {
         /// What the cube names.
         parent: u32,
     },
-    /// Faces in range.
-    #[error("blob {blob} is no face of a scan cube")]
-    NoFace {
+    /// Faces have whole tiles.
+    #[error("its faces cannot have {side} pixels a side")]
+    Face {
+        /// Pixels.
+        side: u32,
+    },
+    /// Patches of a face end where those of the next start.
+    #[error("the patches of its faces do not follow one another")]
+    Patches,
+    /// Patches in range.
+    #[error("blob {blob} is no patch of a scan cube")]
+    NoPatch {
         /// What the cube names.
         blob: u32,
     },

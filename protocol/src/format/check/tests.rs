@@ -96,7 +96,7 @@ fn levels_name_what_exists() {
 fn parts_name_what_exists() {
     let part = |change: fn(&mut Part)| broken(|s| change(&mut s.parts[4]));
     assert_eq!(part(|p| p.blob = 7).rule, Rule::NoBlob { blob: 7 });
-    assert_eq!(part(|p| p.blob = 4).rule, Rule::FaceAsPart { blob: 4 });
+    assert_eq!(part(|p| p.blob = 4).rule, Rule::PatchAsPart { blob: 4 });
     assert_eq!(part(|p| p.blob = NONE).place, Place::Part(4));
     assert_eq!(part(|p| p.transform = 1).rule, Rule::NoTransform { transform: 1 });
     // Another mesh of other size.
@@ -230,7 +230,7 @@ fn facts_and_placements() {
 }
 
 #[test]
-fn faces_alone_have_pictures_and_no_origin_of_their_own() {
+fn patches_alone_have_pictures_and_begin_with_a_tile() {
     let picture = |id: usize, image: [u32; 2]| {
         let found = broken(|s| s.blobs[id].image = image);
         let rule = Rule::Picture { side: image[0], tiles: image[1] };
@@ -238,34 +238,47 @@ fn faces_alone_have_pictures_and_no_origin_of_their_own() {
     };
     picture(0, [0, 1]);
     picture(3, [16, 0]);
-    for side in [0, 8, 48, 8192, u32::MAX] {
+    for side in [0, 8, 40, 8192, u32::MAX] {
         picture(4, [side, 0]);
     }
     picture(4, [32, 5]);
     assert_eq!(broken(|s| s.blobs[1].layout = 2).rule, Rule::Picture { side: 0, tiles: 0 });
     assert!(matches!(broken(|s| s.blobs[4].image[1] = 3).rule, Rule::MeshSize { .. }));
     let single = broken(|s| s.blobs[5].classes = [1, 1, 0, 0, 0, 0]);
-    assert_eq!(single, Violation { place: blob(5), rule: Rule::FaceClass });
-    assert_eq!(broken(|s| s.blobs[4].origin[2] = 1.0).rule, Rule::FaceOrigin);
+    assert_eq!(single, Violation { place: blob(5), rule: Rule::PatchClass });
+    for origin in [[0.0, 0.0, 1.0], [8.0, 0.0, 0.0], [0.0, -16.0, 0.0]] {
+        assert_eq!(broken(|s| s.blobs[4].origin = origin).rule, Rule::PatchOrigin);
+    }
     assert_eq!(broken(|s| s.blobs[4].step = 0.3).rule, Rule::Step { step: 0.3 });
 }
 
 #[test]
-fn every_face_belongs_to_one_cube() {
-    let owners = |id, owners| Violation { place: blob(id), rule: Rule::FaceOwners { owners } };
+fn every_patch_belongs_to_one_cube() {
+    let owners = |id, owners| Violation { place: blob(id), rule: Rule::PatchOwners { owners } };
     let unnamed = broken(|s| {
-        s.cubes[0].faces[4] = NONE;
+        s.cubes[0].patches = [4, 5, 5, 5, 5, 5, 5];
         s.cubes[0].triangles = 1;
     });
     assert_eq!(unnamed, owners(5, 0));
     let shared = broken(|s| {
-        s.cubes[1].faces[0] = 4;
-        s.cubes[1].triangles = 2;
+        s.cubes[1].patches[0] = 5;
+        s.cubes[1].triangles = 3;
     });
-    assert_eq!(shared, owners(4, 2));
-    for blob in [0, 7] {
-        assert_eq!(broken(|s| s.cubes[1].faces[0] = blob).rule, Rule::NoFace { blob });
+    assert_eq!(shared, owners(5, 2));
+    assert_eq!(broken(|s| s.cubes[0].patches[0] = 3).rule, Rule::NoPatch { blob: 3 });
+    assert_eq!(broken(|s| s.cubes[1].patches[6] = 8).rule, Rule::NoPatch { blob: 7 });
+    assert_eq!(broken(|s| s.cubes[0].patches[1] = 7).rule, Rule::Patches);
+}
+
+#[test]
+fn windows_lie_in_their_face() {
+    for side in [0, 40, 8192] {
+        assert_eq!(broken(|s| s.cubes[0].side = side).rule, Rule::Face { side });
     }
+    let beyond = broken(|s| s.cubes[0].side = 32);
+    assert_eq!(beyond, Violation { place: blob(4), rule: Rule::Window { side: 32 } });
+    let down = broken(|s| s.blobs[6].origin[1] = 48.0);
+    assert_eq!(down, Violation { place: blob(6), rule: Rule::Window { side: 48 } });
 }
 
 #[test]

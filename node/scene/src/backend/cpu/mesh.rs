@@ -1,6 +1,6 @@
 //! A mesh as uploaded: bytes checked once, so that drawing need not.
 
-use super::face::Face;
+use super::patch::Patch;
 use crate::backend::BackendError;
 use protocol::format::{Blob, Class, TexturedVertex, Vertex, projected};
 use protocol::id::BlobId;
@@ -44,7 +44,7 @@ pub(super) struct Mesh {
     /// As many as vertices; none of a plain mesh.
     pub(super) texturing: Box<[Texturing]>,
     /// Of a projected one.
-    pub(super) face: Option<Face>,
+    pub(super) patch: Option<Patch>,
     /// Each below the number of vertices.
     pub(super) triangles: Box<[[u16; 3]]>,
     /// Where the triangles of each class lie.
@@ -58,7 +58,7 @@ impl Mesh {
         let (vertex_bytes, rest) = bytes.split_at(blob.vertex_bytes());
         let index_bytes = &rest[..blob.triangles as usize * size_of::<[u16; 3]>()];
         let count = blob.vertices as usize;
-        let mut face = None;
+        let mut patch = None;
         // `bytes` may lie at any address, so values are copied out one by one.
         let (mut vertices, mut texturing) = (Vec::new(), Vec::new());
         if blob.is_textured() {
@@ -73,10 +73,10 @@ impl Mesh {
             }
         } else if blob.is_projected() {
             if blob.classes != Class::OpaqueDouble.all(blob.triangles) {
-                return Err(damaged(id, "a face of a scan cube is opaque from both sides"));
+                return Err(damaged(id, "a patch of a scan cube is opaque from both sides"));
             }
-            let read = Face::read(&projected::Face::of(blob, bytes));
-            face = Some(read.ok_or_else(|| damaged(id, "its picture names a tile it lacks"))?);
+            let read = Patch::read(&projected::Patch::of(blob, bytes));
+            patch = Some(read.ok_or_else(|| damaged(id, "its picture names a tile it lacks"))?);
         } else {
             let (chunks, _) = vertex_bytes.as_chunks::<{ size_of::<Vertex>() }>();
             vertices.extend(chunks.iter().map(|c| bytemuck::pod_read_unaligned::<Vertex>(c)));
@@ -100,7 +100,7 @@ impl Mesh {
         Ok(Self {
             vertices: vertices.into(),
             texturing: texturing.into(),
-            face,
+            patch,
             triangles,
             classes,
         })
@@ -108,21 +108,21 @@ impl Mesh {
 
     /// Bytes of its arrays.
     pub(super) fn held_bytes(&self) -> u64 {
-        let Self { vertices, texturing, face, triangles, classes: _ } = self;
+        let Self { vertices, texturing, patch, triangles, classes: _ } = self;
         let bytes = size_of_val(&**vertices) + size_of_val(&**texturing);
-        (bytes + face.as_ref().map_or(0, Face::held_bytes) + size_of_val(&**triangles)) as u64
+        (bytes + patch.as_ref().map_or(0, Patch::held_bytes) + size_of_val(&**triangles)) as u64
     }
 
     /// How many vertices it has.
     pub(super) fn count(&self) -> usize {
-        self.face.as_ref().map_or(self.vertices.len(), |face| face.positions.len())
+        self.patch.as_ref().map_or(self.vertices.len(), |patch| patch.positions.len())
     }
 
     /// The grid position of a vertex.
     pub(super) fn grid(&self, vertex: usize) -> [f64; 3] {
-        let vertex = match &self.face {
+        let vertex = match &self.patch {
             None => self.vertices[vertex],
-            Some(face) => Vertex { position: face.positions[vertex], normal: 0, color: 0 },
+            Some(patch) => Vertex { position: patch.positions[vertex], normal: 0, color: 0 },
         };
         vertex.grid().map(f64::from)
     }

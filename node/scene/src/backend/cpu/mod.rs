@@ -5,9 +5,9 @@
 
 mod boxes;
 mod canvas;
-mod face;
 mod mesh;
 mod paint;
+mod patch;
 mod project;
 mod raster;
 mod shade;

@@ -137,7 +137,7 @@ impl<'a> Painter<'a> {
     fn placements(&self) -> Vec<Placement> {
         let placed = self.draws.iter().zip(&self.meshes);
         placed
-            .map(|(draw, mesh)| Placement::new(self.projection, draw, mesh.face.is_some()))
+            .map(|(draw, mesh)| Placement::new(self.projection, draw, mesh.patch.is_some()))
             .collect()
     }
 
@@ -183,7 +183,7 @@ impl<'a> Painter<'a> {
             if triangles.is_empty() {
                 continue;
             }
-            let rows = self.projection.clip_from_grid(draw, mesh.face.is_some());
+            let rows = self.projection.clip_from_grid(draw, mesh.patch.is_some());
             let clip = |vertex: usize| apply(&rows, mesh.grid(vertex));
             placed.clear();
             placed.extend((0..mesh.count()).map(|vertex| self.projection.place(clip(vertex))));

@@ -3,8 +3,8 @@
 //! Attributes are interpolated with perspective from barycentric coordinates of the pixel's ray in clip
 //! space (Olano and Greer 1997), so no clipped triangle needs attributes of its own.
 
-use super::face::Face;
 use super::mesh::{Mesh, Texturing};
+use super::patch::Patch;
 use super::project::{Projection, Rows, apply, cross, dot};
 use super::texture::{Footprint, Textures};
 use crate::backend::{Draw, light};
@@ -83,7 +83,7 @@ enum Look<'a> {
     /// Colours that wait for light.
     Lit(Lit),
     /// Places in a picture that has all its light, in pixels.
-    Projected([[f32; 2]; 3], &'a Face),
+    Projected([[f32; 2]; 3], &'a Patch),
 }
 
 struct Lit {
@@ -111,11 +111,11 @@ impl<'a> Surface<'a> {
             let [x, y, w, _] = apply(&placement.clip_from_grid, grid);
             [x, y, w]
         });
-        let look = match &mesh.face {
+        let look = match &mesh.patch {
             None => Look::Lit(Lit::new(placement, mesh, indices)),
-            Some(face) => {
+            Some(patch) => {
                 let pixels = |c: f64| (c / f64::from(SUBPIXELS)) as f32;
-                Look::Projected(grid.map(|[u, v, _]| [pixels(u), pixels(v)]), face)
+                Look::Projected(grid.map(|[u, v, _]| [pixels(u), pixels(v)]), patch)
             }
         };
         Self { edges: Edges([cross(b, c), cross(c, a), cross(a, b)]), look }
@@ -132,9 +132,9 @@ impl<'a> Surface<'a> {
     pub(super) fn color(&self, textures: &Textures, pixel: Pixel, ray: [f64; 3]) -> [f32; 4] {
         match &self.look {
             Look::Lit(lit) => lit.color(&self.edges, textures, pixel, ray),
-            Look::Projected(corners, face) => {
+            Look::Projected(corners, patch) => {
                 let place = blend(corners, barycentric(self.edges.products(pixel.center)));
-                let [r, g, b] = face.sample(textures, place);
+                let [r, g, b] = patch.sample(textures, place);
                 [r, g, b, 1.0]
             }
         }

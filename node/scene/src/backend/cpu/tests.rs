@@ -217,7 +217,7 @@ fn a_face_is_its_picture_to_the_eye_that_took_it() {
         assert_eq!(backend.held_bytes(), bytes.len() as u64);
         let pass = shade(view(size), vec![seen_from([0.0; 3])], true);
         let Completion::Picture { picture, .. } = run(&mut backend, pass) else { panic!() };
-        let parts = projected::Face::of(&blob, &bytes);
+        let parts = projected::Patch::of(&blob, &bytes);
         for (at, rgba) in (0..).zip(picture.rgba.chunks(4)) {
             let expected = parts.pixel(at % SIDE, at / SIDE);
             assert!(rgba.iter().zip(&expected).all(|(a, b)| a.abs_diff(*b) <= 1), "{at}");

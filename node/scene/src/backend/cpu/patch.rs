@@ -1,4 +1,4 @@
-//! A face of a scan cube ([`protocol::format::projected`]): where its vertices lie, and its picture, read
+//! A patch of a face of a scan cube ([`protocol::format::projected`]): where its vertices lie, and its picture, read
 //! as it lies in the file.
 
 use super::texture::Textures;
@@ -10,7 +10,7 @@ const BLOCKS: usize = projected::TILE_BYTES / size_of::<Block>();
 type Block = [u8; 8];
 
 /// Vertices and picture.
-pub(super) struct Face {
+pub(super) struct Patch {
     /// Packed grid positions.
     pub(super) positions: Box<[[u32; 2]]>,
     /// Pixels a side.
@@ -20,20 +20,20 @@ pub(super) struct Face {
     blocks: Box<[Block]>,
 }
 
-impl Face {
-    /// Takes a face over; none where the table names a tile that is not stored.
-    pub(super) fn read(parts: &projected::Face<'_>) -> Option<Self> {
+impl Patch {
+    /// Takes a patch over; none where the table names a tile that is not stored.
+    pub(super) fn read(parts: &projected::Patch<'_>) -> Option<Self> {
         let words = |bytes: &[u8]| -> Box<[u32]> {
             bytes.as_chunks().0.iter().map(|&word| u32::from_le_bytes(word)).collect()
         };
-        let face = Self {
+        let patch = Self {
             positions: words(parts.vertices).as_chunks().0.into(),
             side: parts.side,
             table: words(parts.table),
             blocks: parts.tiles.as_chunks().0.into(),
         };
-        let stored = face.blocks.len() / BLOCKS;
-        face.table.iter().all(|&entry| entry as usize <= stored).then_some(face)
+        let stored = patch.blocks.len() / BLOCKS;
+        patch.table.iter().all(|&entry| entry as usize <= stored).then_some(patch)
     }
 
     /// Bytes of its arrays.
@@ -84,7 +84,7 @@ mod tests {
     use super::*;
 
     /// A row of tiles, white and black in turn, of which some are stored.
-    fn face(stored: [bool; 2]) -> Face {
+    fn patch(stored: [bool; 2]) -> Patch {
         let mut table = [0u32; 4];
         let mut tiles = Vec::new();
         for (i, color) in [0xffu8, 0].into_iter().enumerate().filter(|(i, _)| stored[*i]) {
@@ -94,14 +94,14 @@ mod tests {
         }
         let table: Vec<u8> = table.iter().flat_map(|entry| entry.to_le_bytes()).collect();
         let (vertices, indices) = (&[][..], &[][..]);
-        let parts = projected::Face { side: 32, vertices, indices, table: &table, tiles: &tiles };
-        Face::read(&parts).expect("a sound face")
+        let parts = projected::Patch { side: 32, vertices, indices, table: &table, tiles: &tiles };
+        Patch::read(&parts).expect("a sound patch")
     }
 
     #[test]
     fn no_place_is_out_of_the_picture() {
-        let (face, textures) = (face([true, true]), Textures::new());
-        let red = |x: f32| face.sample(&textures, [x, 31.9])[0];
+        let (patch, textures) = (patch([true, true]), Textures::new());
+        let red = |x: f32| patch.sample(&textures, [x, 31.9])[0];
         for (at, expected) in [(f32::NAN, 1.0), (f32::NEG_INFINITY, 1.0), (-3.0, 1.0), (0.0, 1.0)] {
             assert_eq!(red(at), expected, "{at}");
         }
@@ -112,26 +112,26 @@ mod tests {
     #[test]
     fn what_is_not_stored_shows_its_nearest_neighbour_that_is() {
         let textures = Textures::new();
-        let red = |face: &Face, x: f32| face.sample(&textures, [x, 7.3])[0];
-        let left = face([true, false]);
+        let red = |patch: &Patch, x: f32| patch.sample(&textures, [x, 7.3])[0];
+        let left = patch([true, false]);
         // Inside, at the border, and beyond it by less than a pixel.
         for (at, expected) in [(3.0, 1.0), (15.75, 1.0), (16.25, 1.0), (17.0, 0.0)] {
             assert!((red(&left, at) - expected).abs() < 1e-6, "{at}");
         }
-        let right = face([false, true]);
+        let right = patch([false, true]);
         assert_eq!([red(&right, 15.75), red(&right, 16.25)], [0.0; 2]);
     }
 
     #[test]
     fn a_table_that_names_what_is_not_stored_is_damaged() {
-        let parts = projected::Face {
+        let parts = projected::Patch {
             side: 16,
             vertices: &[],
             indices: &[],
             table: &[2, 0, 0, 0],
             tiles: &[0; projected::TILE_BYTES],
         };
-        assert!(Face::read(&parts).is_none());
-        assert!(Face::read(&projected::Face { table: &[1, 0, 0, 0], ..parts }).is_some());
+        assert!(Patch::read(&parts).is_none());
+        assert!(Patch::read(&projected::Patch { table: &[1, 0, 0, 0], ..parts }).is_some());
     }
 }
