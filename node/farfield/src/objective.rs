@@ -15,12 +15,12 @@
 //! one more set to intersect with. The third test may raise it, by taking back a surface that was none.
 
 use crate::adjacency::{Adjacency, Tests};
-use crate::neighbours::Pixel;
-use crate::raster::{cover, outside};
+use crate::projection::Projection;
 use crate::sample::Sample;
 use crate::skins::Surfaces;
 use crate::solid_angle::solid_angle;
-use glam::{DVec3, DVec4};
+use crate::wanted::Wanted;
+use glam::DVec3;
 use rayon::prelude::*;
 
 /// The visible part of the global void surface.
@@ -50,8 +50,10 @@ impl Group {
         Self { tests, members: Vec::new() }
     }
 
-    /// Adds a sample; what it sees past is no surface of the others any longer, and conversely.
+    /// Adds a sample, of as many pixels as the others; what it sees past is no surface of theirs any longer, and
+    /// conversely.
     pub fn push(&mut self, sample: Sample) {
+        assert!(self.samples().all(|other| other.side == sample.side), "samples of one size");
         let tests = self.tests;
         let adjacency = Adjacency::new(&sample, self.samples(), &tests);
         self.members.par_iter_mut().for_each(|member| {
@@ -79,81 +81,55 @@ impl Group {
     /// The objective at a viewpoint, over six faces of `side * side` pixels. Of no samples, nothing is known
     /// and nothing counted: 0. Surfaces are as fine as the samples' pixels, so a silhouette has a skin a
     /// pixel of the sample wide even from the sample's own eye.
+    ///
+    /// The nearest sample comes first. It leaves few pixels, and others are looked at but there: more samples hide
+    /// more skins and leave fewer pixels with one of each.
     pub fn objective(&self, eye: DVec3, side: u32) -> Measure {
-        let pixels = side as usize * side as usize;
-        let mut faces: [Face; 6] = std::array::from_fn(|_| Face {
-            valid: vec![0.0; pixels],
-            void: vec![!self.members.is_empty(); pixels],
-        });
-        for member in &self.members {
-            let corners = Corners::new(member, eye, self.tests.least_disparity);
-            faces.par_iter_mut().enumerate().for_each(|(face, picture)| {
-                corners.draw(&member.surfaces.valid, face, side, |pixel, disparity| {
-                    picture.valid[pixel] = picture.valid[pixel].max(disparity);
-                });
-            });
-        }
-        for member in &self.members {
-            let corners = Corners::new(member, eye, self.tests.least_disparity);
-            // Less than a pixel of the sample before a surface, a skin hides nothing it could have told apart.
-            let before = 1.0 + 2.0 / f64::from(member.sample.side);
-            faces.par_iter_mut().enumerate().for_each(|(face, picture)| {
-                if !picture.void.contains(&true) {
-                    return;
-                }
-                let mut skin = vec![false; pixels];
-                corners.draw(&member.surfaces.skins, face, side, |pixel, disparity| {
-                    skin[pixel] |= disparity > picture.valid[pixel] * before;
-                });
-                picture.void.iter_mut().zip(&skin).for_each(|(void, skin)| *void &= skin);
-            });
-        }
-        let void = faces.iter().flat_map(|face| (0..pixels).filter(|&pixel| face.void[pixel]));
         let nothing = Measure { steradians: 0.0, pixels: 0 };
-        void.fold(nothing, |sum, pixel| {
+        if self.members.is_empty() {
+            return nothing;
+        }
+        let pixels = side as usize * side as usize;
+        let mut nearest_first: Vec<&Member> = self.members.iter().collect();
+        let away = |member: &Member| member.sample.eye.distance_squared(eye);
+        nearest_first.sort_by(|a, b| away(a).total_cmp(&away(b)));
+        let nearest = |seen: &mut Vec<f64>, pixel: usize, disparity: f64| {
+            seen[pixel] = seen[pixel].max(disparity);
+        };
+        let blank = || -> [Vec<f64>; 6] { std::array::from_fn(|_| vec![0.0; pixels]) };
+
+        // Less than a pixel of the sample before a surface, a skin hides nothing it could have told apart.
+        let before = 1.0 + 2.0 / f64::from(self.members[0].sample.side);
+        // By pixel: disparity of the farthest of all members' nearest skins, and of the nearest surface.
+        let mut void: [Vec<f64>; 6] = std::array::from_fn(|_| vec![f64::INFINITY; pixels]);
+        let mut valid = blank();
+        let is_void = |void: &[f64], valid: &[f64], pixel| void[pixel] > valid[pixel] * before;
+        let mut left = [(); 6].map(|()| Wanted::new(side, |_| true));
+        for member in &nearest_first {
+            let projection = Projection::new(&member.sample, self.tests.least_disparity, eye, side);
+            let mut skin = blank();
+            projection.draw(&member.surfaces.skins, &left, side, &mut skin, nearest);
+            for (void, skin) in void.iter_mut().zip(&skin) {
+                void.iter_mut().zip(skin).for_each(|(void, skin)| *void = void.min(*skin));
+            }
+            let of_face = |face: usize, valid: &[Vec<f64>; 6]| {
+                Wanted::new(side, |pixel| is_void(&void[face], &valid[face], pixel))
+            };
+            left = std::array::from_fn(|face| of_face(face, &valid));
+            projection.draw(&member.surfaces.valid, &left, side, &mut valid, nearest);
+            left = std::array::from_fn(|face| of_face(face, &valid));
+            if left.iter().all(Wanted::is_empty) {
+                return nothing;
+            }
+        }
+        let of_face = |(void, valid): (&Vec<f64>, &Vec<f64>)| {
+            (0..pixels).filter(|&pixel| is_void(void, valid, pixel)).collect::<Vec<_>>()
+        };
+        let seen = void.iter().zip(&valid).flat_map(of_face);
+        seen.fold(nothing, |sum, pixel| {
             let (x, y) = (pixel as u32 % side, pixel as u32 / side);
             Measure { steradians: sum.steradians + solid_angle(side, x, y), pixels: sum.pixels + 1 }
         })
-    }
-}
-
-struct Face {
-    /// Disparity of the nearest valid surface, 0 where there is none.
-    valid: Vec<f64>,
-    /// Where every sample so far has a skin before that.
-    void: Vec<bool>,
-}
-
-/// A sample's pixels as a viewpoint sees them, each with [`outside`].
-struct Corners(Vec<(DVec4, u32)>);
-
-impl Corners {
-    /// What pixel `p` shows lies at `S + ray / d`, so relative to `V` at `(ray + (S - V) d) / d`.
-    fn new(member: &Member, eye: DVec3, least: f32) -> Self {
-        let sample = &member.sample;
-        let count = 6 * sample.side as usize * sample.side as usize;
-        let corner = |index| {
-            let (ray, disparity) = Pixel::of_index(sample.side, index).ray(sample);
-            let disparity = if disparity > f64::from(least) { disparity } else { 0.0 };
-            let at = (ray + (sample.eye - eye) * disparity).extend(disparity);
-            (at, outside(at))
-        };
-        Self((0..count).into_par_iter().map(corner).collect())
-    }
-
-    fn draw(
-        &self,
-        triangles: &[[u32; 3]],
-        face: usize,
-        side: u32,
-        mut visit: impl FnMut(usize, f64),
-    ) {
-        for triangle in triangles {
-            let [a, b, c] = triangle.map(|corner| self.0[corner as usize]);
-            if (a.1 & b.1 & c.1) >> (4 * face) & 15 == 0 {
-                cover(face, side, [a.0, b.0, c.0], &mut visit);
-            }
-        }
     }
 }
 

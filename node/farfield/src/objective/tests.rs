@@ -120,3 +120,60 @@ fn any_number_of_threads_measures_the_same() {
     assert_eq!(one, measure(2));
     assert_eq!(one, measure(5));
 }
+
+/// The paper's steps, one after another, over all triangles and pixels.
+fn step_by_step(group: &Group, eye: DVec3, side: u32) -> Measure {
+    let pixels = (side * side) as usize;
+    let all: [Wanted; 6] = std::array::from_fn(|_| Wanted::new(side, |_| true));
+    let mut valid: [Vec<f64>; 6] = std::array::from_fn(|_| vec![0.0; pixels]);
+    let project = |member: &Member| Projection::new(&member.sample, 0.0, eye, side);
+    for member in &group.members {
+        let surfaces = &member.surfaces.valid;
+        project(member).draw(surfaces, &all, side, &mut valid, |seen, pixel, disparity| {
+            seen[pixel] = seen[pixel].max(disparity);
+        });
+    }
+    let mut void = [(); 6].map(|()| vec![!group.members.is_empty(); pixels]);
+    for member in &group.members {
+        let before = 1.0 + 2.0 / f64::from(member.sample.side);
+        let mut skin: [_; 6] = valid.each_ref().map(|valid| (valid, vec![false; pixels]));
+        let skins = &member.surfaces.skins;
+        project(member).draw(skins, &all, side, &mut skin, |(valid, skin), pixel, disparity| {
+            skin[pixel] |= disparity > valid[pixel] * before;
+        });
+        for (void, (_, skin)) in void.iter_mut().zip(&skin) {
+            void.iter_mut().zip(skin).for_each(|(void, skin)| *void &= skin);
+        }
+    }
+    let mut sum = Measure { steradians: 0.0, pixels: 0 };
+    for pixel in void.iter().flat_map(|void| (0..pixels).filter(|&pixel| void[pixel])) {
+        sum.steradians += solid_angle(side, pixel as u32 % side, pixel as u32 / side);
+        sum.pixels += 1;
+    }
+    sum
+}
+
+#[test]
+fn looking_only_where_it_matters_changes_no_bit() {
+    let mut scene = Scene::gap();
+    scene.boxes.extend(
+        Scene::of(&[[-3.0, -3.0, -1.0, -2.0, -2.0, 2.0], [1.0, -2.0, -9.0, 1.2, -1.0, 9.0]]).boxes,
+    );
+    let outdoors = Scene { boxes: scene.boxes.split_off(1), ground: Some(-1.5) };
+    let eyes = [[0.0; 3], [0.3, 0.1, 0.2], [-1.0, 1.0, 0.0], [0.0; 3], [0.9, -0.4, -0.3]];
+    let mut seen = 0;
+    for scene in [scene, outdoors] {
+        for count in 0..=eyes.len() {
+            let members = group(&scene, &eyes[..count], 24);
+            for at in [[0.0; 3], [1.1, 0.2, 0.3], [-1.5, -0.5, 0.9], [0.0, -8.0, 3.0]] {
+                for side in [1, 17, 40] {
+                    let at = DVec3::from_array(at);
+                    let measure = members.objective(at, side);
+                    assert_eq!(measure, step_by_step(&members, at, side), "{count} {at} {side}");
+                    seen += measure.pixels;
+                }
+            }
+        }
+    }
+    assert!(seen > 10_000, "{seen}");
+}
