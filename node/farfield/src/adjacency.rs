@@ -23,7 +23,7 @@
 //! around the midpoint: disparity is linear over the picture of a plane, so that is never beyond a
 //! plane through the midpoint, however it is seen, and a silhouette is not seen past by a rounding.
 
-use crate::neighbours::{Pixel, STEPS};
+use crate::neighbours::{Pixel, step_of};
 use crate::sample::{FACES, Sample};
 use glam::DVec3;
 use rayon::prelude::*;
@@ -61,7 +61,7 @@ impl Tests {
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Adjacency {
     side: u32,
-    /// Bit `k` for the neighbour [`STEPS`]`[k]` away.
+    /// Bit `k` for the neighbour [`STEPS`](crate::neighbours::STEPS)`[k]` away.
     bits: [Vec<u8>; 6],
 }
 
@@ -95,7 +95,7 @@ impl Adjacency {
     /// Whether a pixel and its neighbour `STEPS[step]` away show one surface; false where it has none there.
     /// Symmetric.
     pub fn adjacent(&self, pixel: Pixel, step: usize) -> bool {
-        self.bits[pixel.face][(pixel.y * self.side + pixel.x) as usize] >> step & 1 != 0
+        self.bits[pixel.face][pixel.in_face(self.side)] >> step & 1 != 0
     }
 
     /// By the first two tests.
@@ -125,7 +125,8 @@ impl Adjacency {
     }
 
     /// Clears the bits of what does not meet a condition on the ends of the edge, relative to the
-    /// sample's eye. The ends come in the same order from both pixels, so both get the same answer.
+    /// sample's eye. The ends come in the same order from both pixels, so both get the same answer; inside a face
+    /// one of them asks, and the other hears.
     fn keep(
         &mut self,
         sample: &Sample,
@@ -133,23 +134,42 @@ impl Adjacency {
         meets: impl Fn([Pixel; 2], DVec3, DVec3) -> bool + Sync,
     ) {
         let side = self.side;
+        let offset = |index| tests.offset(sample, Pixel::of_index(side, index));
+        let offsets: Vec<Option<DVec3>> =
+            (0..6 * side as usize * side as usize).into_par_iter().map(offset).collect();
         for (face, bits) in self.bits.iter_mut().enumerate() {
+            let known = bits.clone();
+            let hears = |pixel: Pixel, step: usize| {
+                let other = (step < 4).then(|| pixel.neighbour(side, step)).flatten()?;
+                let is_asked =
+                    other.face == face && known[other.in_face(side)] >> (7 - step) & 1 != 0;
+                is_asked.then(|| other.in_face(side))
+            };
             bits.par_chunks_mut(side as usize).enumerate().for_each(|(y, row)| {
                 for (x, bits) in row.iter_mut().enumerate().filter(|(_, bits)| **bits != 0) {
                     let pixel = Pixel { face, x: x as u32, y: y as u32 };
                     let holds = |step: &usize| {
                         let Some(other) = pixel.neighbour(side, *step) else { return false };
                         let (first, second) = (pixel.min(other), pixel.max(other));
-                        let from = tests.offset(sample, first);
-                        let to = tests.offset(sample, second);
+                        let [from, to] = [first, second].map(|end| offsets[end.index(side)]);
                         from.zip(to).is_some_and(|(from, to)| meets([first, second], from, to))
                     };
                     *bits = (0..8)
                         .filter(|step| *bits >> step & 1 != 0)
-                        .filter(holds)
+                        .filter(|step| hears(pixel, *step).is_some() || holds(step))
                         .fold(0, |bits, step| bits | 1 << step);
                 }
             });
+            for at in 0..bits.len() {
+                let pixel = Pixel { face, x: at as u32 % side, y: at as u32 / side };
+                for step in (0..4).filter(|step| known[at] >> step & 1 != 0) {
+                    if let Some(other) = hears(pixel, step)
+                        && bits[other] >> (7 - step) & 1 == 0
+                    {
+                        bits[at] &= !(1 << step);
+                    }
+                }
+            }
         }
     }
 }
@@ -189,10 +209,9 @@ fn sees_past(sample: &Sample, point: DVec3, slack: f64, tests: &Tests) -> bool {
     let (right, down) = (towards(u, pixel.x), towards(v, pixel.y));
     let around = [[right, 0], [0, down], [right, down]];
     past(pixel)
-        && around.into_iter().all(|step| {
-            let step = STEPS.iter().position(|&known| known == step);
-            step.and_then(|step| pixel.neighbour(sample.side, step)).is_none_or(past)
-        })
+        && around
+            .into_iter()
+            .all(|step| pixel.neighbour(sample.side, step_of(step)).is_none_or(past))
 }
 
 #[cfg(test)]
@@ -287,6 +306,36 @@ mod tests {
         // Nothing but the gap: about a column of it, six edges a row, on three faces.
         let cut = cut.sum::<usize>();
         assert!((6 * 100..6 * 400).contains(&cut), "{cut}");
+    }
+
+    #[test]
+    fn asking_once_for_each_edge_changes_no_bit() {
+        let scene = Scene { ground: Some(-1.5), ..Scene::of(&[[1.0, -1.0, -2.0, 2.0, 0.3, 3.0]]) };
+        let side = 21;
+        let sample = scene.sample(DVec3::new(0.0, 0.1, 0.2), side);
+        let tests = Tests::default();
+        let whole = Adjacency::alone(&sample, &tests);
+        // Some pixels' bits are gone, those of their neighbours are not.
+        let some =
+            std::array::from_fn(|face| (0..side * side).map(move |at| at % 3 != face as u32 % 2));
+        let some = some.map(Iterator::collect::<Vec<bool>>);
+        let partial = Adjacency::of_some(&sample, [], &tests, &some);
+        // A condition that a wrong order of the ends would show.
+        let meets =
+            |_: [Pixel; 2], from: DVec3, to: DVec3| (from.x * 3.1 + to.y * 7.7).sin() > -0.2;
+        for start in [whole, partial] {
+            let mut kept = start.clone();
+            kept.keep(&sample, &tests, meets);
+            for (pixel, step) in pixels(side).flat_map(|p| (0..8).map(move |step| (p, step))) {
+                let holds = pixel.neighbour(side, step).is_some_and(|other| {
+                    let ends = [pixel.min(other), pixel.max(other)];
+                    let at = ends.map(|end| tests.offset(&sample, end));
+                    start.adjacent(pixel, step) && meets(ends, at[0].unwrap(), at[1].unwrap())
+                });
+                assert_eq!(kept.adjacent(pixel, step), holds, "{pixel:?} {step}");
+            }
+            assert!(kept != start);
+        }
     }
 
     #[test]

@@ -7,6 +7,12 @@ use glam::DVec3;
 pub const STEPS: [[i32; 2]; 8] =
     [[-1, -1], [0, -1], [1, -1], [-1, 0], [1, 0], [-1, 1], [0, 1], [1, 1]];
 
+/// The place of a step in [`STEPS`].
+pub(crate) fn step_of([right, down]: [i32; 2]) -> usize {
+    let place = (3 * (down + 1) + right + 1) as usize;
+    place - usize::from(place > 4)
+}
+
 /// A pixel of a sample.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Pixel {
@@ -28,7 +34,12 @@ impl Pixel {
 
     /// Index over all faces.
     pub fn index(self, side: u32) -> usize {
-        (self.face * side as usize + self.y as usize) * side as usize + self.x as usize
+        self.face * side as usize * side as usize + self.in_face(side)
+    }
+
+    /// Index in its face.
+    pub(crate) fn in_face(self, side: u32) -> usize {
+        self.y as usize * side as usize + self.x as usize
     }
 
     /// The neighbour one of [`STEPS`] away. Past a border lies the pixel of the next face that touches the
@@ -83,6 +94,7 @@ mod tests {
 
     #[test]
     fn neighbours_are_near_distinct_and_mutual() {
+        assert!((0..8).all(|step| step_of(STEPS[step]) == step));
         for side in [1u32, 2, 3, 8] {
             let direction = |p: Pixel| {
                 let axes = FACES[p.face];

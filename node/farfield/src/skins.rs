@@ -7,7 +7,7 @@
 //! others are skins, also from a thing's silhouette to what is endlessly far.
 
 use crate::adjacency::Adjacency;
-use crate::neighbours::Pixel;
+use crate::neighbours::{Pixel, step_of};
 use crate::sample::Sample;
 
 /// Triangles of [`Pixel::index`]es.
@@ -82,9 +82,7 @@ impl Surfaces {
 
 /// The step between neighbours on one face.
 fn step_inside(from: Pixel, to: Pixel) -> usize {
-    let (right, down) = (to.x + 1 - from.x, to.y + 1 - from.y);
-    let place = (3 * down + right) as usize;
-    place - usize::from(place > 4)
+    step_of([to.x as i32 - from.x as i32, to.y as i32 - from.y as i32])
 }
 
 /// The four corners of each face: pixel coordinates, each with the step that leads past the border there.
