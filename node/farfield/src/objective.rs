@@ -79,8 +79,8 @@ impl Group {
     }
 
     /// The objective at a viewpoint, over six faces of `side * side` pixels. Of no samples, nothing is known
-    /// and nothing counted: 0. Surfaces are as fine as the samples' pixels, so a silhouette has a skin a
-    /// pixel of the sample wide even from the sample's own eye.
+    /// and nothing counted: 0. Where a sample was taken it is 0, too. Silhouettes are known to half a pixel of the
+    /// sample.
     ///
     /// The nearest sample comes first. It leaves few pixels, and others are looked at but there: more samples hide
     /// more skins and leave fewer pixels with one of each.
@@ -106,7 +106,8 @@ impl Group {
         let is_void = |void: &[f64], valid: &[f64], pixel| void[pixel] > valid[pixel] * before;
         let mut left = [(); 6].map(|()| Wanted::new(side, |_| true));
         for member in &nearest_first {
-            let projection = Projection::new(&member.sample, self.tests.least_disparity, eye, side);
+            let projection =
+                Projection::new(member.sample.eye, &member.surfaces.corners, eye, side);
             let mut skin = blank();
             projection.draw(&member.surfaces.skins, &left, side, &mut skin, nearest);
             for (void, skin) in void.iter_mut().zip(&skin) {

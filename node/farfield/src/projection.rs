@@ -4,35 +4,25 @@
 //! corners. Nearly all are like that and cover a pixel's centre or none, so most are settled by looking
 //! at that rectangle ([`Wanted`]).
 
-use crate::neighbours::Pixel;
 use crate::raster::{Covered, Place, fill, outside, place, span};
-use crate::sample::Sample;
 use crate::wanted::Wanted;
 use glam::{DVec3, DVec4};
 use rayon::prelude::*;
 
-/// Triangles that one task looks at.
+/// Triangles or corners that one task looks at.
 const CHUNK: usize = 4096;
 
-/// A sample's pixels relative to a viewpoint.
+/// Corners of a sample's surfaces relative to a viewpoint.
 pub(crate) struct Projection(Vec<(DVec4, Option<Place>)>);
 
 impl Projection {
-    /// What pixel `p` shows lies at `S + ray / d`, so relative to `V` at `(ray + (S - V) d) / d`; what has no
-    /// greater disparity than `least` is endlessly far. Onto faces of `side * side` pixels.
-    pub(crate) fn new(sample: &Sample, least: f32, eye: DVec3, side: u32) -> Self {
-        let across = sample.side as usize;
-        let mut corners = vec![(DVec4::ZERO, None); 6 * across * across];
-        corners.par_chunks_mut(across.max(1)).enumerate().for_each(|(row, corners)| {
-            let (face, y) = (row / across, (row % across) as u32);
-            for (x, corner) in (0..).zip(corners) {
-                let (ray, disparity) = Pixel { face, x, y }.ray(sample);
-                let disparity = if disparity > f64::from(least) { disparity } else { 0.0 };
-                let at = (ray + (sample.eye - eye) * disparity).extend(disparity);
-                *corner = (at, place(at, side));
-            }
-        });
-        Self(corners)
+    /// A corner at `S + ray / d` lies at `(ray + (S - V) d) / d` relative to `V`. Onto faces of `side * side` pixels.
+    pub(crate) fn new(sample: DVec3, corners: &[(DVec3, f64)], eye: DVec3, side: u32) -> Self {
+        let seen = |&(ray, disparity): &(DVec3, f64)| {
+            let at = (ray + (sample - eye) * disparity).extend(disparity);
+            (at, place(at, side))
+        };
+        Self(corners.par_iter().with_min_len(CHUNK).map(seen).collect())
     }
 
     /// Calls `visit` with a face, and the index and the disparity of each of its wanted pixels whose centre a

@@ -1,95 +1,187 @@
-//! The surfaces of a sample as triangles over its pixels' centres: those it saw, and the skins that
-//! bound what it did not see (paper 000, section 3.3.3).
+//! The surfaces of a sample as triangles over its pixels: those it saw, and the skins that bound what it did not
+//! see (paper 000, section 3.3.3).
 //!
-//! Around every corner of the pixel grid lie four pixels, two triangles; at a corner of the cube three, one
-//! triangle. Together they close around the eye. A triangle of three adjacent pixels is a surface that was
-//! seen. One of three pixels that show nothing is no surface: the sample saw that nothing is there. All
-//! others are skins, also from a thing's silhouette to what is endlessly far.
+//! A pixel that shows something is a surface over its whole solid angle, as in the mesh that will be drawn
+//! ([`crate::depth_mesh`]): the disparity of a corner is the mean over those pixels around it that are joined to the pixel,
+//! so what is joined has its corners in common. Where two pixels have not, the skin between them lies along the rays through
+//! the side that they share, from one surface to the other, or without end where one shows nothing. All of it together
+//! closes around the eye. From the sample's own eye a skin is seen edge-on: there nothing is void, by the meaning of the
+//! word. The paper spans skins from one pixel's centre to the next; then each silhouette is void a pixel wide, from
+//! anywhere and however many samples there are, and in faces as coarse as ours that is more than all the rest.
 
 use crate::adjacency::Adjacency;
-use crate::neighbours::{Pixel, step_of};
+use crate::depth_mesh::corners::around;
+use crate::neighbours::{Pixel, STEPS, step_of};
 use crate::sample::Sample;
+use glam::DVec3;
 
-/// Triangles of [`Pixel::index`]es.
+/// Triangles of [`Self::corners`].
 pub(crate) struct Surfaces {
+    /// Direction from the eye and disparity: the corner lies at one over the other.
+    pub(crate) corners: Vec<(DVec3, f64)>,
     /// What the sample saw.
     pub(crate) valid: Vec<[u32; 3]>,
     /// Its void surface.
     pub(crate) skins: Vec<[u32; 3]>,
 }
 
+/// Steps right and down from a pixel's place to its corners' places.
+const CORNERS: [[u32; 2]; 4] = [[0, 0], [1, 0], [0, 1], [1, 1]];
+
 impl Surfaces {
     /// Of a sample in which what has no greater disparity than `least` counts as nothing.
     pub(crate) fn new(sample: &Sample, adjacency: &Adjacency, least: f32) -> Self {
+        let making = Making { sample, adjacency, least };
+        let (corners, of_pixels) = making.corners();
+        let mut surfaces = Self { corners, valid: Vec::new(), skins: Vec::new() };
         let side = sample.side;
-        let mut surfaces = Self { valid: Vec::new(), skins: Vec::new() };
-        let mut quad = |[a, b, c, d]: [Pixel; 4], joined: &dyn Fn(Pixel, Pixel) -> bool| {
-            let [ab, bc, cd, da] = [joined(a, b), joined(b, c), joined(c, d), joined(d, a)];
-            let (ac, bd) = (joined(a, c), joined(b, d));
-            let one = [ab && bc && ac, ac && cd && da];
-            let two = [ab && bd && da, bc && cd && bd];
-            let count = |halves: [bool; 2]| halves.iter().filter(|half| **half).count();
-            if count(one) >= count(two) {
-                surfaces.add(sample, least, [a, b, c], one[0]);
-                surfaces.add(sample, least, [a, c, d], one[1]);
-            } else {
-                surfaces.add(sample, least, [a, b, d], two[0]);
-                surfaces.add(sample, least, [b, c, d], two[1]);
+        for index in 0..of_pixels.len() {
+            let pixel = Pixel::of_index(side, index);
+            let [a, b, c, d] = of_pixels[index];
+            if making.disparity(pixel) > 0.0 {
+                surfaces.valid.extend([[a, c, b], [b, c, d]]);
             }
-        };
-        let joined =
-            |a: Pixel, b: Pixel| a.step_to(side, b).is_some_and(|step| adjacency.adjacent(a, step));
-        let inside = |a: Pixel, b: Pixel| adjacency.adjacent(a, step_inside(a, b));
-        for face in 0..6 {
-            let at = |x, y| Pixel { face, x, y };
-            for (x, y) in (1..side).flat_map(|y| (1..side).map(move |x| (x, y))) {
-                quad([at(x - 1, y - 1), at(x, y - 1), at(x, y), at(x - 1, y)], &inside);
-            }
-            let last = side - 1;
-            for (step, horizontal, fixed) in
-                [(1, true, 0), (3, false, 0), (4, false, last), (6, true, last)]
-            {
-                let along = |k: u32| if horizontal { at(k, fixed) } else { at(fixed, k) };
-                for (a, b) in (1..side).map(|k| (along(k - 1), along(k))) {
-                    let past = a.neighbour(side, step).zip(b.neighbour(side, step));
-                    if let Some((past_a, past_b)) = past.filter(|(past, _)| face < past.face) {
-                        quad([a, b, past_b, past_a], &joined);
-                    }
-                }
-            }
-        }
-        for (face, y, x) in corners(side) {
-            let corner = Pixel { face, x: x.0, y: y.0 };
-            let beside = corner.neighbour(side, x.1).zip(corner.neighbour(side, y.1));
-            if let Some((b, c)) = beside.filter(|(b, c)| face < b.face && face < c.face) {
-                let valid = joined(corner, b) && joined(b, c) && joined(corner, c);
-                surfaces.add(sample, least, [corner, b, c], valid);
+            // By step, the corners at that side.
+            for (step, from, to) in [(1, 0, 1), (3, 0, 2), (4, 1, 3), (6, 2, 3)] {
+                let Some(other) = pixel.neighbour(side, step).filter(|other| pixel < *other) else {
+                    continue;
+                };
+                let ours = [of_pixels[index][from], of_pixels[index][to]];
+                let places = match other.face == pixel.face {
+                    // The sides that face each other.
+                    true if step == 4 => [0, 2],
+                    true if step == 6 => [0, 1],
+                    true => unreachable!("what lies before comes first"),
+                    false => [from, to].map(|k| making.same_corner(pixel, k, other)),
+                };
+                let theirs = places.map(|place| of_pixels[other.index(side)][place]);
+                surfaces.skin(ours, theirs);
             }
         }
         surfaces
     }
 
-    fn add(&mut self, sample: &Sample, least: f32, corners: [Pixel; 3], valid: bool) {
-        let something = |pixel: &Pixel| pixel.ray(sample).1 > f64::from(least);
-        let list = match valid {
-            true => &mut self.valid,
-            false if corners.iter().any(something) => &mut self.skins,
-            false => return,
-        };
-        list.push(corners.map(|pixel| pixel.index(sample.side) as u32));
+    /// The skin between two sides that lie on the same rays, where they are not the same.
+    fn skin(&mut self, [a, b]: [u32; 2], [c, d]: [u32; 2]) {
+        if a != c {
+            self.skins.push([a, b, c]);
+        }
+        if b != d {
+            self.skins.push([b, d, c]);
+        }
     }
 }
 
-/// The step between neighbours on one face.
-fn step_inside(from: Pixel, to: Pixel) -> usize {
-    step_of([to.x as i32 - from.x as i32, to.y as i32 - from.y as i32])
+struct Making<'a> {
+    sample: &'a Sample,
+    adjacency: &'a Adjacency,
+    least: f32,
 }
 
-/// The four corners of each face: pixel coordinates, each with the step that leads past the border there.
-fn corners(side: u32) -> impl Iterator<Item = (usize, (u32, usize), (u32, usize))> {
-    let (left, right, top, bottom) = ((0, 3), (side - 1, 4), (0, 1), (side - 1, 6));
-    let of_face = [(top, left), (top, right), (bottom, left), (bottom, right)];
-    (0..6).flat_map(move |face| of_face.map(|(y, x)| (face, y, x)))
+impl Making<'_> {
+    /// What a pixel shows; 0 of nothing.
+    fn disparity(&self, pixel: Pixel) -> f64 {
+        let known = self.sample.faces[pixel.face].disparity[self.sample.index(pixel.x, pixel.y)];
+        if known > self.least { f64::from(known) } else { 0.0 }
+    }
+
+    fn corner(&self, pixel: Pixel, place: usize) -> DVec3 {
+        let [right, down] = CORNERS[place];
+        self.sample.ray(pixel.face, f64::from(pixel.x + right), f64::from(pixel.y + down))
+    }
+
+    /// Which corner of `other` is corner `place` of a pixel beside it, past a border.
+    fn same_corner(&self, pixel: Pixel, place: usize, other: Pixel) -> usize {
+        let at = self.corner(pixel, place);
+        // On the border both faces have the same coordinate along their axes, so the same vector.
+        let away = |place: &usize| self.corner(other, *place).distance_squared(at);
+        (0..4).min_by(|a, b| away(a).total_cmp(&away(b))).expect("four corners")
+    }
+
+    /// All corners, and by pixel its four.
+    fn corners(&self) -> (Vec<(DVec3, f64)>, Vec<[u32; 4]>) {
+        let side = self.sample.side;
+        let mut corners = Vec::new();
+        let mut of_pixels = vec![[0; 4]; 6 * side as usize * side as usize];
+        for face in 0..6 {
+            for (i, j) in (0..=side).flat_map(|j| (0..=side).map(move |i| (i, j))) {
+                let is_inside = (1..side).contains(&i) && (1..side).contains(&j);
+                if is_inside {
+                    let at = |place: usize| {
+                        let [right, down] = CORNERS[place];
+                        Pixel { face, x: i - 1 + right, y: j - 1 + down }
+                    };
+                    // Corner 3 of the first of them, corner 0 of the last.
+                    let pixels = [0, 1, 2, 3].map(|place| (at(place), 3 - place));
+                    self.add(
+                        self.sample.ray(face, i.into(), j.into()),
+                        &pixels,
+                        &mut corners,
+                        &mut of_pixels,
+                    );
+                    continue;
+                }
+                let around = around(side, face, i, j);
+                if around[0].face < face {
+                    continue;
+                }
+                let ray = self.sample.ray(face, i.into(), j.into());
+                let away =
+                    |pixel: Pixel, place: usize| self.corner(pixel, place).distance_squared(ray);
+                let nearest = |pixel: Pixel| {
+                    (0..4).min_by(|a, b| away(pixel, *a).total_cmp(&away(pixel, *b)))
+                };
+                let pixels: Vec<_> =
+                    around.iter().map(|&pixel| (pixel, nearest(pixel).expect("four"))).collect();
+                self.add(ray, &pixels, &mut corners, &mut of_pixels);
+            }
+        }
+        (corners, of_pixels)
+    }
+
+    /// One corner for each of the groups that pixels around a place fall into: joined ones, directly or through
+    /// others, and those that show nothing.
+    fn add(
+        &self,
+        ray: DVec3,
+        pixels: &[(Pixel, usize)],
+        corners: &mut Vec<(DVec3, f64)>,
+        of_pixels: &mut [[u32; 4]],
+    ) {
+        let side = self.sample.side;
+        let mut group = [0, 1, 2, 3];
+        for (a, &(first, _)) in pixels.iter().enumerate() {
+            for (b, &(second, _)) in pixels.iter().enumerate().skip(a + 1) {
+                let nothing = self.disparity(first) == 0.0 && self.disparity(second) == 0.0;
+                if group[a] != group[b] && (nothing || self.joined(first, second)) {
+                    let (kept, gone) = (group[a].min(group[b]), group[a].max(group[b]));
+                    group.iter_mut().filter(|of| **of == gone).for_each(|of| *of = kept);
+                }
+            }
+        }
+        for wanted in 0..pixels.len() {
+            let members = || pixels.iter().zip(group).filter(|(_, of)| *of == wanted);
+            let count = members().count();
+            if count == 0 {
+                continue;
+            }
+            let sum: f64 = members().map(|((pixel, _), _)| self.disparity(*pixel)).sum();
+            let number = corners.len() as u32;
+            corners.push((ray, sum / count as f64));
+            for ((pixel, place), _) in members() {
+                of_pixels[pixel.index(side)][*place] = number;
+            }
+        }
+    }
+
+    fn joined(&self, a: Pixel, b: Pixel) -> bool {
+        if a.face == b.face {
+            let step = [b.x as i32 - a.x as i32, b.y as i32 - a.y as i32];
+            return self.adjacency.adjacent(a, step_of(step));
+        }
+        let beside = |step: &usize| a.neighbour(self.sample.side, *step) == Some(b);
+        (0..STEPS.len()).filter(beside).any(|step| self.adjacency.adjacent(a, step))
+    }
 }
 
 #[cfg(test)]
@@ -97,7 +189,6 @@ mod tests {
     use super::*;
     use crate::adjacency::Tests;
     use crate::analytic::Scene;
-    use glam::DVec3;
     use std::collections::HashMap;
 
     fn surfaces(scene: &Scene, side: u32) -> Surfaces {
@@ -105,33 +196,62 @@ mod tests {
         Surfaces::new(&sample, &Adjacency::new(&sample, [], &Tests::default()), 0.0)
     }
 
+    /// Sides of triangles that do not belong to two.
+    fn open(triangles: &[[u32; 3]]) -> usize {
+        let mut sides = HashMap::new();
+        for &[a, b, c] in triangles {
+            for (a, b) in [(a, b), (b, c), (c, a)] {
+                *sides.entry((a.min(b), a.max(b))).or_insert(0) += 1;
+            }
+        }
+        sides.values().filter(|&&count| count != 2).count()
+    }
+
     #[test]
     fn a_room_is_closed_and_has_no_skin() {
         let room = Scene::of(&[[-2.0, -2.0, -2.0, 2.0, 2.0, 2.0]]);
         for side in [2, 16, 33] {
-            let Surfaces { valid, skins } = surfaces(&room, side);
-            let mut edges = HashMap::new();
-            for [a, b, c] in valid.iter().chain(&skins).copied() {
-                for (a, b) in [(a, b), (b, c), (c, a)] {
-                    *edges.entry((a.min(b), a.max(b))).or_insert(0) += 1;
-                }
-            }
-            assert!(edges.values().all(|&count| count == 2));
+            let Surfaces { corners, valid, skins } = surfaces(&room, side);
             let pixels = 6 * side * side;
-            assert_eq!(valid.len() + skins.len(), 2 * pixels as usize - 4, "Euler");
+            assert_eq!(valid.len(), 2 * pixels as usize);
             assert!(side < 16 || skins.is_empty(), "{side}: {}", skins.len());
+            // Euler.
+            assert!(side < 16 || corners.len() == pixels as usize + 2);
+            assert!(side < 16 || open(&valid) == 0);
+            // Half a pixel from where the planes are at most, over the cube's sides.
+            for (ray, disparity) in corners.into_iter().filter(|_| side >= 16) {
+                let want = 0.5 * ray.abs().max_element();
+                assert!(
+                    (disparity / want - 1.0).abs() < 1.5 / f64::from(side),
+                    "{ray} {disparity}"
+                );
+            }
         }
     }
 
     #[test]
     fn the_sky_is_no_surface_but_a_silhouette_has_a_skin() {
-        let Surfaces { valid, skins } = surfaces(&Scene::default(), 8);
+        let Surfaces { valid, skins, .. } = surfaces(&Scene::default(), 8);
         assert!(valid.is_empty() && skins.is_empty());
-        let Surfaces { valid, skins } =
-            surfaces(&Scene::of(&[[2.0, -1.0, -1.0, 3.0, 1.0, 1.0]]), 16);
-        // Eight pixels across: 7 x 7 quads of wall, and a ring of 32 quads around. Of its corners two are cut so
-        // that one half is all sky.
-        assert_eq!((valid.len(), skins.len()), (2 * 49, 2 * 32 - 2));
+        let wall = Scene::of(&[[2.0, -1.0, -1.0, 3.0, 1.0, 1.0]]);
+        let Surfaces { corners, valid, skins } = surfaces(&wall, 16);
+        // Eight pixels across, and 32 of their sides around.
+        assert_eq!((valid.len(), skins.len()), (2 * 64, 2 * 32));
+        let far = |corner: u32| corners[corner as usize].1 == 0.0;
+        assert!(skins.iter().all(|skin| skin.iter().any(|&corner| far(corner))));
         assert_eq!(surfaces(&Scene::default(), 1).skins.len(), 0);
+    }
+
+    #[test]
+    fn a_skin_lies_along_the_rays_and_closes_what_was_seen() {
+        for side in [2, 9, 32] {
+            let Surfaces { corners, valid, skins } = surfaces(&Scene::gap(), side);
+            assert!(side == 2 || !skins.is_empty());
+            for skin in &skins {
+                let [a, b, c] = skin.map(|corner| corners[corner as usize].0);
+                assert!(a.dot(b.cross(c)).abs() < 1e-12);
+            }
+            assert_eq!(open(&[valid, skins].concat()), 0);
+        }
     }
 }

@@ -33,11 +33,11 @@ fn the_void_beside_a_gap_grows_with_the_way_aside() {
     let one = group(&scene, &[[0.0; 3]], 128);
     let seen: Vec<f64> = [0.0, 0.5, 1.0, 2.0, 3.0].map(|x| at(&one, [x, 0.0, 0.0])).into();
     println!("from one sample, aside by 0, 0.5, 1, 2, 3: {seen:.3?}");
-    // From the sample itself the gap's sides, silhouettes of pi radians each, are little more than a pixel wide.
-    assert!(seen[0] < 1.25 * 2.0 * PI * 2.0 / 128.0, "{seen:?}");
+    assert_eq!(seen[0], 0.0);
     assert!(seen[1] > seen[0] + 0.1 && seen[2] > seen[1] + 0.1, "{seen:?}");
-    // Past the critical line all of the gap is void: a lune, but for its far ends.
-    let strip = |x: f64| 2.0 * (((0.5 - x) / 2.0).atan() - ((-0.5 - x) / 2.0).atan());
+    // Past the critical line all of the gap is void, from the near side of the one wall's end to the rear side of the
+    // other's: a lune, but for its far ends.
+    let strip = |x: f64| 2.0 * (((0.5 - x) / 2.0).atan() - ((-0.5 - x) / 2.1).atan());
     assert!((seen[4] / strip(3.0) - 1.0).abs() < 0.1, "{} {}", seen[4], strip(3.0));
     // From the other side alike; a sample at the place itself leaves nothing.
     let (left, right) = (at(&one, [-1.0, 0.0, 0.0]), seen[2]);
@@ -79,7 +79,30 @@ fn a_silhouette_against_the_sky_has_a_skin_and_sky_seen_through_it_is_valid() {
     assert!(aside > 0.2, "behind the pillar nothing was seen: {aside}");
     let two = group(&pillar, &[[0.0; 3], [6.0, 3.5, 0.0]], 128);
     assert!(at(&two, [6.0, 3.5, 0.0]) < 0.25 * aside);
-    assert!(at(&one, [0.0; 3]) < 0.1);
+    assert_eq!(at(&one, [0.0; 3]), 0.0);
+}
+
+#[test]
+fn where_a_sample_was_taken_nothing_is_void() {
+    let cluttered = Scene {
+        boxes: (0..40)
+            .map(|k| {
+                let at = DVec3::new((k % 7).into(), (k % 5).into(), (k % 3).into()) * 1.3;
+                [at + 1.0, at + 1.0 + DVec3::new(0.03, 0.1, 0.7)]
+            })
+            .collect(),
+        ground: Some(-1.5),
+    };
+    let eyes = [[0.0; 3], [0.4, 3.0, 0.5], [4.9, 2.2, 0.9]];
+    for scene in [cluttered, Scene::gap()] {
+        let mut members = Group::new(TESTS);
+        for eye in eyes {
+            members.push(scene.sample(DVec3::from_array(eye), 20));
+            let taken: Vec<DVec3> = members.samples().map(|sample| sample.eye).collect();
+            assert!(taken.iter().all(|&eye| members.objective(eye, 64).pixels == 0));
+        }
+        assert!(members.objective(DVec3::new(2.0, 1.0, 0.2), 64).pixels > 0);
+    }
 }
 
 #[test]
@@ -126,7 +149,8 @@ fn step_by_step(group: &Group, eye: DVec3, side: u32) -> Measure {
     let pixels = (side * side) as usize;
     let all: [Wanted; 6] = std::array::from_fn(|_| Wanted::new(side, |_| true));
     let mut valid: [Vec<f64>; 6] = std::array::from_fn(|_| vec![0.0; pixels]);
-    let project = |member: &Member| Projection::new(&member.sample, 0.0, eye, side);
+    let project =
+        |member: &Member| Projection::new(member.sample.eye, &member.surfaces.corners, eye, side);
     for member in &group.members {
         let surfaces = &member.surfaces.valid;
         project(member).draw(surfaces, &all, side, &mut valid, |seen, pixel, disparity| {

@@ -84,11 +84,11 @@ fn among_pillars_a_grid_of_half_as_many_again_is_worse() {
 
 #[test]
 fn a_box_is_sampled_in_its_height_too() {
-    // A table top at mid height in a room: from above and from below the other side is void.
+    // Two blocks, a slot between them at mid height: it cannot be looked through from the corners.
     let scene = Scene::of(&[
         [-6.0, -6.0, -4.0, 6.0, 6.0, 4.0],
-        [1.5, -1.0, -0.05, 3.5, 1.0, 0.05],
-        [-3.0, 2.0, -4.0, -2.0, 3.0, 1.0],
+        [1.5, -3.0, 0.4, 5.0, 3.0, 2.0],
+        [1.5, -3.0, -2.0, 5.0, 3.0, -0.4],
     ]);
     let region = Region::Box { min: DVec3::splat(-1.0), max: DVec3::splat(1.0) };
     let settings = Settings { budget: 10, epsilon_sr: 1e-3, ..COARSE };
@@ -97,6 +97,7 @@ fn a_box_is_sampled_in_its_height_too() {
     assert_eq!(placed.samples.len(), 10, "the budget");
     println!("box: {:.3?}", placed.worst_sr);
     assert!(placed.worst_sr[2] < placed.worst_sr[0]);
+    assert!(source.taken[8].z.abs() < 1e-6 && source.taken[8].x > 0.9, "{}", source.taken[8]);
     let inside = |eye: &DVec3| eye.abs().max_element() < 1.0;
     assert!(source.taken.iter().all(inside));
     assert!(source.taken[8..].iter().all(|eye| !source.taken[..8].contains(eye)));
