@@ -1,5 +1,6 @@
 //! Far fields at run time: which blobs a viewpoint needs, and what is drawn of them.
 
+use crate::redundancy::Tolerance;
 use crate::select::{Budget, Choice, selected};
 use glam::DVec3;
 use protocol::camera::Camera;
@@ -87,19 +88,41 @@ impl FarField for Cubes {
         let sight = Sight::new(camera, size);
         let sees = |cube: &Cube, face, patch: &Blob| sight.meets(cube, face, patch);
         let cubes = self.cubes(cell, camera.eye, &self.budget, sees);
-        let of_cube = |cube: &Cube| {
+        let distance = |cube: &&Cube| {
+            DVec3::from_array(cube.eye).distance_squared(DVec3::from_array(camera.eye))
+        };
+        let nearest = cubes.iter().map(distance).fold(f64::INFINITY, f64::min);
+        // The nearest is the last of the first path, none of which gives way.
+        let path = cubes.iter().position(|cube| distance(cube) == nearest).map_or(0, |at| at + 1);
+        let of_cube = |(place, cube): (usize, &Cube)| {
+            let back = if place < path { 0.0 } else { set_back(cube.side) };
             let patches = self.patches(cube).filter(|(face, _, patch)| sees(cube, *face, patch));
             let draws: Vec<Draw> = patches
-                .map(|(face, blob, patch)| patch_draw(cube, face, blob, patch, camera.eye))
+                .map(|(face, blob, patch)| patch_draw(cube, face, blob, patch, camera.eye, back))
                 .collect();
             draws
         };
-        cubes.into_iter().flat_map(of_cube).collect()
+        cubes.into_iter().enumerate().flat_map(of_cube).collect()
     }
 }
 
-/// How a patch is drawn for an eye ([`protocol::format::projected`]).
-fn patch_draw(cube: &Cube, face: usize, blob: BlobId, patch: &Blob, eye: [f64; 3]) -> Draw {
+/// Share of its distance by which a cube is drawn behind the nearest one and those that one depends on, so that what
+/// several show is seen as the nearest saw it: as much as the points of two may differ and still be one
+/// ([`crate::redundancy::Tolerance`]).
+fn set_back(side: u32) -> f64 {
+    Tolerance::default().at(1.0, side)
+}
+
+/// How a patch is drawn for an eye ([`protocol::format::projected`]), `back` of its distance behind where it
+/// is: the fourth coordinate decides on the depth alone.
+fn patch_draw(
+    cube: &Cube,
+    face: usize,
+    blob: BlobId,
+    patch: &Blob,
+    eye: [f64; 3],
+    back: f64,
+) -> Draw {
     let FaceAxes { forward, right, up } = FACES[face];
     let pixel = 2.0 / f64::from(cube.side);
     let unit = pixel / f64::from(SUBPIXELS);
@@ -115,7 +138,7 @@ fn patch_draw(cube: &Cube, face: usize, blob: BlobId, patch: &Blob, eye: [f64; 3
         ],
         offset: vector(&|k| forward[k] + right[k] * left - up[k] * top),
         distance: 0.0,
-        disparity_step: patch.step as f32,
+        disparity_step: (patch.step / (1.0 + back)) as f32,
     }
 }
 
@@ -218,7 +241,7 @@ mod tests {
         let patch = Blob { step: 0.25, ..patch([16, 0], 48) };
         let (cube, eye) = (cube([10.0, 20.0, 30.0]), [11.0, 19.0, 30.5]);
         for (face, FaceAxes { forward, right, up }) in FACES.into_iter().enumerate() {
-            let draw = patch_draw(&cube, face, BlobId(face as u32), &patch, eye);
+            let draw = patch_draw(&cube, face, BlobId(face as u32), &patch, eye, 0.0);
             // Pixel (48, 8) of the face, which is (32, 8) of the window; disparity 0.5.
             let grid = [32.0 * 16.0, 8.0 * 16.0, 2.0];
             for k in 0..3 {

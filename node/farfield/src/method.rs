@@ -34,6 +34,7 @@ pub trait Method: Sync {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use glam::DVec3;
     use protocol::camera::Camera;
     use protocol::format::{Blob, Class, Cube, Hlod, NONE, ViewCell};
     use protocol::settings::{Far, PictureSize};
@@ -226,6 +227,37 @@ mod tests {
                 assert!(drawn > 50, "{what}: a weak test, {drawn} faces");
             }
         }
+    }
+
+    #[test]
+    fn the_nearest_cube_and_its_ancestors_stand_before_all_others() {
+        let skeleton = Arc::new(row());
+        let (mut before, mut behind) = (0, 0);
+        for camera in cameras() {
+            let far = open(&Itdm, &skeleton, Budget { cubes: 99, triangles: None });
+            let draws = far.draws(&camera, SIZE);
+            let Some(cell) = Cells::new(&skeleton, Number::Itdm as u32).at(camera.eye) else {
+                continue;
+            };
+            let cubes = skeleton.cubes_of(&skeleton.view_cells[cell]);
+            let eye = DVec3::from_array(camera.eye);
+            let away = |cube: &&Cube| DVec3::from_array(cube.eye).distance(eye);
+            let nearest = cubes.iter().min_by(|a, b| away(a).total_cmp(&away(b)));
+            let up = |cube: &&Cube| skeleton.cubes.get(cube.parent as usize);
+            let path: Vec<&Cube> = std::iter::successors(nearest, up).collect();
+            for draw in draws {
+                let is_first = path.iter().any(|cube| cube.blobs().contains(&draw.blob.0));
+                let step = skeleton.blob(draw.blob).step as f32;
+                assert!(if is_first {
+                    draw.disparity_step == step
+                } else {
+                    draw.disparity_step < step
+                });
+                before += usize::from(is_first);
+                behind += usize::from(!is_first);
+            }
+        }
+        assert!(before > 50 && behind > 50, "{before} {behind}");
     }
 
     #[test]
