@@ -25,8 +25,18 @@ fn unit(v: vec3<f32>) -> vec3<f32> {
     return select(vec3<f32>(0.0), v * inverseSqrt(max(squared, 1e-37)), squared > 0.0);
 }
 
-fn light(interpolated_normal: vec3<f32>, position: vec3<f32>) -> f32 {
+// The unit normal that faces the viewer.
+fn facing(interpolated_normal: vec3<f32>, position: vec3<f32>) -> vec3<f32> {
     let normal = unit(interpolated_normal);
-    let facing = select(normal, -normal, dot(normal, position) > 0.0);
-    return frame.ambient + frame.diffuse * max(dot(facing, frame.sun), 0.0);
+    return select(normal, -normal, dot(normal, position) > 0.0);
+}
+
+fn light(interpolated_normal: vec3<f32>, position: vec3<f32>) -> f32 {
+    let normal = facing(interpolated_normal, position);
+    return frame.ambient + frame.diffuse * max(dot(normal, frame.sun), 0.0);
+}
+
+// A normal as a pixel of 8 bits an axis, 0 halfway. Halves are rounded up here, for drivers differ there.
+fn normal_code(normal: vec3<f32>) -> vec4<f32> {
+    return vec4<f32>(floor(127.5 * normal + 128.0) / 255.0, 1.0);
 }

@@ -82,6 +82,13 @@ fn fragment_main(in: VertexOut) -> @location(0) vec4<f32> {
     return vec4<f32>(sampled(in.picture, in.side, in.place), 1.0);
 }
 
+// A picture has all its light.
+@fragment
+fn fragment_normal(in: VertexOut) -> @location(0) vec4<f32> {
+    guard(in.clip);
+    return normal_code(vec3<f32>(0.0));
+}
+
 @fragment
 fn fragment_items(in: VertexOut) -> @location(0) u32 {
     guard(in.clip);

@@ -29,3 +29,9 @@ fn fragment_blend(in: VertexOut) -> @location(0) vec4<f32> {
     guard(in.clip);
     return vec4<f32>(in.color.rgb * light(in.normal, in.eye_relative), in.color.a);
 }
+
+@fragment
+fn fragment_normal(in: VertexOut) -> @location(0) vec4<f32> {
+    guard(in.clip);
+    return normal_code(facing(in.normal, in.eye_relative));
+}

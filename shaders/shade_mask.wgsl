@@ -9,3 +9,12 @@ fn fragment_mask(in: VertexOut) -> @location(0) vec4<f32> {
     }
     return vec4<f32>(color.rgb, 1.0);
 }
+
+@fragment
+fn fragment_mask_normal(in: VertexOut) -> @location(0) vec4<f32> {
+    guard(in.clip);
+    if shaded(in).a < in.cutoff {
+        discard;
+    }
+    return normal_code(facing(in.normal, in.eye_relative));
+}

@@ -42,3 +42,9 @@ fn fragment_blend(in: VertexOut) -> @location(0) vec4<f32> {
     guard(in.clip);
     return shaded(in);
 }
+
+@fragment
+fn fragment_normal(in: VertexOut) -> @location(0) vec4<f32> {
+    guard(in.clip);
+    return normal_code(facing(in.normal, in.eye_relative));
+}

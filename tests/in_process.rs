@@ -12,6 +12,7 @@ use protocol::camera::Camera;
 use protocol::message::FailureKind;
 use protocol::schedule::{Phase, Role};
 use protocol::settings::{BackendChoice, Cull, PictureSize, Residency, RunSettings, Schedule};
+use protocol::sun::Sun;
 use protocol::telemetry::WorkReport;
 use std::path::Path;
 
@@ -46,6 +47,7 @@ fn replay(
         scene_digest: digest,
         size: SIZE,
         lod_px: 1.0,
+        sun: Sun::default(),
         cull: Cull::Queries,
         schedule: Schedule::Switch,
         backend: BackendChoice::Cpu,

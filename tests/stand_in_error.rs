@@ -17,7 +17,7 @@ use protocol::format::Skeleton;
 use protocol::id::{BlobId, HlodId};
 use protocol::settings::PictureSize;
 use scene::backend::cpu::CpuBackend;
-use scene::backend::{Backend, Completion, Part, Pass, Upload, View, upload_textures_of};
+use scene::backend::{Backend, Completion, Part, Pass, Shading, Upload, View, upload_textures_of};
 use scene::deep::{LevelSurface, Original};
 use scene::draw_list::draw_list;
 use scene::front::{FrontEntry, front};
@@ -77,7 +77,8 @@ fn draw(store: &Store, camera: &Camera, entries: &[FrontEntry]) -> (Vec<u32>, Ve
         completions.remove(0)
     };
     let items = run(Pass::Items { view, draws: draws.clone(), part });
-    let picture = run(Pass::Shade { view, draws, with_depth: true, part });
+    let picture =
+        run(Pass::Shade { view, shading: Shading::default(), draws, with_depth: true, part });
     match (items, picture) {
         (Completion::Items { items, .. }, Completion::Picture { picture, .. }) => {
             (items, picture.depth.unwrap())

@@ -1,6 +1,7 @@
 //! Run settings from text: rig files, and the spellings that flags and rig files share.
 
 use protocol::settings::{BackendChoice, Cull, Far, PictureSize, Residency, Schedule};
+use protocol::sun::Sun;
 use serde::{Deserialize, Deserializer};
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
@@ -49,6 +50,8 @@ pub struct Rig {
     pub cull: Option<Cull>,
     /// Pixel error.
     pub lod: Option<PixelError>,
+    /// Towards the sun, `[x, y, z]`.
+    pub sun: Option<Sun>,
     /// `every=N` or `off`.
     #[serde(default, deserialize_with = "from_text")]
     pub audit: Option<Every>,
@@ -150,6 +153,21 @@ impl FromStr for Size {
     }
 }
 
+/// A direction towards the sun in text, `0.35,0.85,0.4`.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Towards(pub Sun);
+
+impl FromStr for Towards {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let numbers = text.split(',').map(str::parse).collect::<Result<Vec<f64>, _>>();
+        let axes = numbers.ok().and_then(|numbers| <[f64; 3]>::try_from(numbers).ok());
+        let axes = axes.ok_or_else(|| format!("`{text}` is not three numbers: write X,Y,Z"))?;
+        Sun::try_from(axes).map(Self).map_err(|error| error.to_string())
+    }
+}
+
 /// `every=N`, or `off` (0).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Every(pub u32);
@@ -237,6 +255,17 @@ mod tests {
     }
 
     #[test]
+    fn the_sun_stands_where_three_numbers_point() {
+        let sun = |text: &str| text.parse::<Towards>().map(|towards| towards.0);
+        assert_eq!(sun("-1,0.5,2e3"), Ok(Sun::try_from([-1.0, 0.5, 2e3]).unwrap()));
+        for bad in ["", "1,2", "1,2,3,4", "1;2;3", "x,0,1", "0,0,0", "nan,1,0", "1,inf,0"] {
+            assert!(sun(bad).is_err(), "{bad}");
+        }
+        let rig: Rig = toml::from_str("sun = [0, -0.5, 1]").unwrap();
+        assert_eq!(rig.sun, Some(Sun::try_from([0.0, -0.5, 1.0]).unwrap()));
+    }
+
+    #[test]
     fn bytes_have_binary_units() {
         for (text, bytes) in [("7", 7), ("7B", 7), ("64MiB", 64 << 20), ("2TiB", 2 << 40)] {
             assert_eq!(text.parse(), Ok(Bytes(bytes)));
@@ -261,6 +290,10 @@ mod tests {
             "prefetch = true",
             "lod = -1.0",
             "lod = nan",
+            "sun = [0, 0, 0]",
+            "sun = [0, 0, inf]",
+            "sun = [1, 2]",
+            "sun = \"0,1,0\"",
         ] {
             assert!(toml::from_str::<Rig>(bad).is_err(), "{bad}");
         }

@@ -22,7 +22,7 @@ mod worker;
 
 pub use budget::TooSmall;
 pub use choose::choose_backend;
-pub use open::check_memory;
+pub use open::{OtherSun, check_memory, check_sun};
 
 use choose::ChooseError;
 use net::{Peers, Pipes, Stream};
@@ -141,6 +141,12 @@ impl From<OpenError> for NodeError {
 
 impl From<TooSmall> for NodeError {
     fn from(error: TooSmall) -> Self {
+        Self::new(FailureKind::Config, error.to_string())
+    }
+}
+
+impl From<OtherSun> for NodeError {
+    fn from(error: OtherSun) -> Self {
         Self::new(FailureKind::Config, error.to_string())
     }
 }

@@ -12,6 +12,7 @@ use protocol::format::Skeleton;
 use protocol::id::BlobId;
 use protocol::message::FailureKind;
 use protocol::settings::{Far, Residency as Promise, RunSettings};
+use protocol::sun::Sun;
 use scene::backend::{Backend, Upload, upload_textures_of};
 use scene::front::FrontEntry;
 use scene::near_field::Cells;
@@ -48,6 +49,7 @@ pub(crate) fn open_on<'a>(
     let memory = settings.memory.unwrap_or_else(budget::by_itself);
     let drawable = drawable(&skeleton, settings.far);
     let budget = budget::share_out(memory, &skeleton, &drawable, &always)?;
+    check_sun(settings.sun, &skeleton, settings.far)?;
     let far = Distance::open(&skeleton, settings);
     let mut backend = backend(budget.device)?;
     upload_textures(&store, backend.as_mut())?;
@@ -116,6 +118,21 @@ pub fn check_memory(
     let memory = memory.unwrap_or_else(budget::by_itself);
     let drawable = drawable(skeleton, far);
     budget::share_out(memory, skeleton, &drawable, &always(skeleton, promise)).map(drop)
+}
+
+/// The far fields of a scene hold the light of another sun (exit code 78).
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "the far fields of this scene hold the light of the default sun: leave out --sun, or draw all as \
+     geometry with --far off"
+)]
+pub struct OtherSun;
+
+/// Whether what is drawn of what is far has the light of `sun`.
+pub fn check_sun(sun: Sun, skeleton: &Skeleton, far: Far) -> Result<(), OtherSun> {
+    let method = method(far).map(|method| method.number() as u32);
+    let is_lit = skeleton.view_cells.iter().any(|cell| Some(cell.method) == method);
+    if is_lit && sun.unit() != Sun::default().unit() { Err(OtherSun) } else { Ok(()) }
 }
 
 /// What stays from the start: in `deadline` something must always be there to stand in.

@@ -6,6 +6,7 @@ use crate::id::{FrameIndex, Seat};
 use crate::message::{FailureKind, PeerAddress, Token, WIRE_VERSION};
 use crate::schedule::{Phase, Role};
 use crate::settings::{BackendChoice, Cull, PictureSize, Residency, RunSettings, Schedule};
+use crate::sun::Sun;
 use crate::telemetry::{
     Audit, BackendInfo, CullCounts, DrawCounts, IoCounts, LinkBytes, PhaseReport, WorkReport,
 };
@@ -16,6 +17,9 @@ fn camera() -> Camera {
     Camera::look_at([1.0, 2.0, 3.0], [1.0, 2.0, -9.0], [0.0, 1.0, 0.0], 60.0, 0.1).unwrap()
 }
 
+/// Whence the light comes in the examples.
+const SUN: [f64; 3] = [0.5, -2.0, 7.0];
+
 /// One of every kind, with every optional part present.
 fn examples() -> Vec<Message> {
     let token = Token([7; 32]);
@@ -25,6 +29,7 @@ fn examples() -> Vec<Message> {
         scene_digest: [3; 32],
         size: PictureSize { width: 640, height: 360 },
         lod_px: 1.0,
+        sun: Sun::try_from(SUN).unwrap(),
         cull: Cull::Boxes,
         schedule: Schedule::Rotate,
         backend: BackendChoice::Cpu,
@@ -227,6 +232,21 @@ fn bytes_after_a_message_and_lying_lengths_are_refused() {
         let head = [8, 0, 0, 0, 0, 0, 0, 0, 0, 1, 0, 0, 0];
         let delta = [&head[..], &claim.to_le_bytes()].concat();
         assert!(matches!(decode_all(&frame_around(&delta)), Err(CodecError::Body(_))));
+    }
+}
+
+#[test]
+fn a_sun_that_stands_nowhere_is_refused() {
+    let is_welcome = |message: &Message| matches!(message, Message::Welcome { .. });
+    let welcome = examples().into_iter().find(is_welcome).unwrap();
+    let body = &frame_of(&welcome)[HEADER_BYTES..];
+    let bytes = SUN.map(f64::to_le_bytes).concat();
+    let at = body.windows(24).position(|window| window == bytes).unwrap();
+    for sun in [[0.0; 3], [1.0, f64::NAN, 0.0]] {
+        let mut forged = body.to_vec();
+        forged[at..at + 24].copy_from_slice(&sun.map(f64::to_le_bytes).concat());
+        let refused = decode_all(&frame_around(&forged));
+        assert!(matches!(&refused, Err(CodecError::Body(why)) if why.contains("no direction")));
     }
 }
 

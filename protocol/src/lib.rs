@@ -11,5 +11,6 @@ pub mod message;
 pub mod schedule;
 pub mod session;
 pub mod settings;
+pub mod sun;
 pub mod telemetry;
 pub mod visible;

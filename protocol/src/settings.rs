@@ -1,5 +1,6 @@
 //! What a run is told once, before its first phase: the same on every node.
 
+use crate::sun::Sun;
 use serde::{Deserialize, Serialize};
 
 /// Which renderer a node uses.
@@ -86,6 +87,8 @@ pub struct RunSettings {
     pub size: PictureSize,
     /// Largest error of a drawn level in pixels; 0 draws the original geometry.
     pub lod_px: f64,
+    /// What lights the scene.
+    pub sun: Sun,
     /// How hidden hlods are found.
     pub cull: Cull,
     /// Who does what in a phase.

@@ -22,12 +22,14 @@ pub fn for_meshes(source: &str, guards: bool) -> String {
 /// Occluders, depth alone: entry points `vertex_main`, and `fragment_guard` for drivers to be guarded.
 /// This one and the six that follow are for [`for_meshes`].
 pub const DEPTH: &str = source!("frame.wgsl", "mesh.wgsl", "depth.wgsl");
-/// The picture of plain meshes: entry points `vertex_main`, `fragment_main`, `fragment_blend`.
+/// Pictures of plain meshes: entry points `vertex_main`; `fragment_main` and `fragment_blend` for colours,
+/// `fragment_normal`.
 pub const SHADE: &str = source!("frame.wgsl", "mesh.wgsl", "light.wgsl", "shade.wgsl");
-/// The picture of textured meshes: the same entry points.
+/// Pictures of textured meshes: the same entry points.
 pub const SHADE_TEXTURED: &str =
     source!("frame.wgsl", "mesh.wgsl", "light.wgsl", "texture.wgsl", "shade_textured.wgsl");
-/// The picture of meshes with holes: entry point `fragment_mask` beside those of [`SHADE_TEXTURED`].
+/// Pictures of meshes with holes: entry points `fragment_mask` for colours and `fragment_mask_normal` beside
+/// those of [`SHADE_TEXTURED`].
 pub const SHADE_MASK: &str = source!(
     "frame.wgsl",
     "mesh.wgsl",
@@ -40,9 +42,9 @@ pub const SHADE_MASK: &str = source!(
 pub const ITEMS_MASK: &str = source!("frame.wgsl", "mesh.wgsl", "texture.wgsl", "items_mask.wgsl");
 /// Item ids: entry points `vertex_main`, `fragment_main`.
 pub const ITEMS: &str = source!("frame.wgsl", "mesh.wgsl", "items.wgsl");
-/// Projected blobs in all passes: entry points `vertex_main`; `fragment_main` for the picture, which alone
-/// reads the blob, `fragment_items`, and `fragment_guard` for drivers to be guarded.
-pub const PROJECTED: &str = source!("frame.wgsl", "mesh.wgsl", "projected.wgsl");
+/// Projected blobs in all passes: entry points `vertex_main`; `fragment_main` for colours, which alone
+/// reads the blob, `fragment_normal`, `fragment_items`, and `fragment_guard` for drivers to be guarded.
+pub const PROJECTED: &str = source!("frame.wgsl", "mesh.wgsl", "light.wgsl", "projected.wgsl");
 /// Boxes as occlusion queries, entry point `query_vertex`: depth alone, a list of
 /// [`BOX_VERTICES`] vertices an instance.
 pub const BOX_QUERY: &str = source!("frame.wgsl", "box.wgsl", "box_query.wgsl");

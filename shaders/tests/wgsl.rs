@@ -8,23 +8,34 @@ use shaders::mirror::{
 
 const SOURCES: [(&str, &str, &[&str]); 9] = [
     ("DEPTH", shaders::DEPTH, &["vertex_main", "fragment_guard"]),
-    ("SHADE", shaders::SHADE, &["vertex_main", "fragment_main", "fragment_blend"]),
+    (
+        "SHADE",
+        shaders::SHADE,
+        &["vertex_main", "fragment_main", "fragment_blend", "fragment_normal"],
+    ),
     (
         "SHADE_TEXTURED",
         shaders::SHADE_TEXTURED,
-        &["vertex_main", "fragment_main", "fragment_blend"],
+        &["vertex_main", "fragment_main", "fragment_blend", "fragment_normal"],
     ),
     (
         "SHADE_MASK",
         shaders::SHADE_MASK,
-        &["vertex_main", "fragment_main", "fragment_blend", "fragment_mask"],
+        &[
+            "vertex_main",
+            "fragment_main",
+            "fragment_blend",
+            "fragment_normal",
+            "fragment_mask",
+            "fragment_mask_normal",
+        ],
     ),
     ("ITEMS_MASK", shaders::ITEMS_MASK, &["vertex_main", "fragment_main"]),
     ("ITEMS", shaders::ITEMS, &["vertex_main", "fragment_main"]),
     (
         "PROJECTED",
         shaders::PROJECTED,
-        &["vertex_main", "fragment_main", "fragment_items", "fragment_guard"],
+        &["vertex_main", "fragment_main", "fragment_normal", "fragment_items", "fragment_guard"],
     ),
     ("BOX_QUERY", shaders::BOX_QUERY, &["query_vertex"]),
     ("BOX_MARK", shaders::BOX_MARK, &["mark_vertex", "mark_fragment"]),

@@ -7,6 +7,7 @@ use crate::record::{ClockEstimate, NodeRecord, PhaseRecord, RunRecord};
 use protocol::id::{FrameIndex, Seat};
 use protocol::schedule::{Phase, Role, SEATS, last_phase, receivers, role};
 use protocol::settings::{BackendChoice, Cull, PictureSize, Residency, RunSettings, Schedule};
+use protocol::sun::Sun;
 use protocol::telemetry::{
     Audit, BackendInfo, CullCounts, DrawCounts, IoCounts, LinkBytes, Missing, PhaseReport,
     WorkReport,
@@ -26,6 +27,7 @@ fn record(schedule: Schedule, frames: u32) -> RunRecord {
         scene_digest: [0; 32],
         size: PictureSize { width: 4, height: 2 },
         lod_px: 1.0,
+        sun: Sun::default(),
         cull: Cull::Queries,
         schedule,
         backend: BackendChoice::Cpu,

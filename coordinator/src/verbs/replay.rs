@@ -7,7 +7,9 @@ use super::say::{say, say_json};
 use super::{path, scene_file};
 use anyhow::{Context, anyhow};
 use coordinator::camera_path::{self, PathKind, Pose};
-use coordinator::config::{Bytes, Every, Pictures, PixelError, Processes, Rig, Size, Switch};
+use coordinator::config::{
+    Bytes, Every, Pictures, PixelError, Processes, Rig, Size, Switch, Towards,
+};
 use coordinator::log::summary::Summary;
 use coordinator::log::table::table;
 use coordinator::log::{SceneFacts, write_all};
@@ -61,6 +63,9 @@ pub(crate) struct RunOptions {
     /// Largest error of what is drawn, in pixels; 0 draws the original geometry
     #[arg(long, value_name = "PX", env = "OCCLUSTER_LOD")]
     pub(super) lod: Option<PixelError>,
+    /// Direction towards the sun, scene axes, of any length [default: 0.35,0.85,0.4]
+    #[arg(long, value_name = "X,Y,Z", env = "OCCLUSTER_SUN", allow_hyphen_values = true)]
+    pub(super) sun: Option<Towards>,
     /// 1 or 3
     #[arg(long, env = "OCCLUSTER_PROCESSES")]
     pub(super) processes: Option<Processes>,
@@ -218,11 +223,14 @@ fn settings(args: &Args, rig: &Rig, store: &Store, frames: usize) -> Result<RunS
     let memory = o.memory.or(rig.memory).map(|Bytes(memory)| memory / seats);
     let far = o.far.or(rig.far).unwrap_or_default();
     node::check_memory(memory, store.skeleton(), residency, far).or_exit(CONFIG)?;
+    let sun = o.sun.map(|Towards(sun)| sun).or(rig.sun).unwrap_or_default();
+    node::check_sun(sun, store.skeleton(), far).or_exit(CONFIG)?;
     Ok(RunSettings {
         scene_path: absolute(&args.scene)?,
         scene_digest: store.digest(),
         size: o.size.or(rig.size).map_or(PictureSize { width: 640, height: 360 }, |size| size.0),
         lod_px: o.lod.or(rig.lod).map_or(1.0, |lod| lod.0),
+        sun,
         cull: o.cull.or(rig.cull).unwrap_or_default(),
         schedule: o.schedule.or(rig.schedule).unwrap_or_default(),
         backend: o.backend.or(rig.backend).unwrap_or_default(),

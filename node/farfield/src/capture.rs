@@ -7,7 +7,8 @@ use protocol::camera::Camera;
 use protocol::id::BlobId;
 use protocol::settings::PictureSize;
 use scene::backend::{
-    Backend, BackendError, Completion, Draw, Draws, Part, Pass, Upload, View, upload_textures_of,
+    Backend, BackendError, Completion, Draw, Draws, Part, Pass, Shading, Upload, View,
+    upload_textures_of,
 };
 use scene::draw_list::draw_list;
 use scene::front::{Field, front_of};
@@ -168,6 +169,7 @@ impl Pending {
     /// The part of the pass that they are.
     fn pass(&mut self, view: View, closes: bool) -> Pass {
         let part = Part { opens: std::mem::take(&mut self.opens), closes };
-        Pass::Shade { view, draws: std::mem::take(&mut self.draws), with_depth: closes, part }
+        let (shading, draws) = (Shading::default(), std::mem::take(&mut self.draws));
+        Pass::Shade { view, shading, draws, with_depth: closes, part }
     }
 }

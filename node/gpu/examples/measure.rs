@@ -7,7 +7,8 @@ use protocol::settings::{Cull, PictureSize};
 use rand::rngs::StdRng;
 use rand::{Rng, SeedableRng};
 use scene::backend::{
-    Backend, BackendError, BoxQuery, Completion, Draw, Draws, Part, Pass, UNLIMITED, Upload, View,
+    Backend, BackendError, BoxQuery, Completion, Draw, Draws, Part, Pass, Shading, UNLIMITED,
+    Upload, View,
 };
 use scene::occludee::Rules;
 use std::time::Instant;
@@ -48,14 +49,26 @@ fn main() -> Result<(), BackendError> {
     let part = Part::WHOLE;
     let occluders = Pass::Occluders { view, draws: draws.clone(), part };
     let draws = Draws { solid: draws, blending: Vec::new() };
-    let shade = Pass::Shade { view, draws: draws.clone(), with_depth: false, part };
+    let shade = Pass::Shade {
+        view,
+        shading: Shading::default(),
+        draws: draws.clone(),
+        with_depth: false,
+        part,
+    };
     let items = Pass::Items { view, draws, part };
     for (name, pass) in [("occluders", &occluders), ("shade", &shade), ("items", &items)] {
         let seconds = median(&mut backend, pass)?;
         let rate = total / seconds * 1e-6;
         println!("{name}: {:.1} ms for {total} triangles, {rate:.1} Mtri/s", seconds * 1e3);
     }
-    let nothing = Pass::Shade { view, draws: Draws::default(), with_depth: false, part };
+    let nothing = Pass::Shade {
+        view,
+        shading: Shading::default(),
+        draws: Draws::default(),
+        with_depth: false,
+        part,
+    };
     println!("empty picture: {:.2} ms", median(&mut backend, &nothing)? * 1e3);
 
     median(&mut backend, &occluders)?;

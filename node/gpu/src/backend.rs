@@ -18,8 +18,8 @@ use protocol::id::BlobId;
 use protocol::settings::{Cull, PictureSize};
 use protocol::telemetry::BackendInfo;
 use scene::backend::{
-    Backend, BackendError, BoxQuery, Completion, Draw, NO_ITEM, Part, Pass, TextureUpload, Ticket,
-    UNLIMITED, UnderWay, Upload, View, light,
+    Backend, BackendError, BoxQuery, Completion, Draw, NO_ITEM, Part, Pass, Shading, TextureUpload,
+    Ticket, UNLIMITED, UnderWay, Upload, View, light, normal,
 };
 use scene::occludee::Rules;
 use shaders::mirror::Frame;
@@ -100,14 +100,14 @@ impl WgpuBackend {
         })
     }
 
-    /// Brings targets and uniform to a view.
-    fn begin(&mut self, view: &View) -> Result<(), BackendError> {
+    /// Brings targets and uniform to a view and a sun.
+    fn begin(&mut self, view: &View, sun: [f32; 3]) -> Result<(), BackendError> {
         if view.size != self.targets.size {
             self.targets = Targets::new(&self.device, view.size)?;
         }
         let frame = Frame {
             clip_from_eye: view.clip_from_eye,
-            sun: light::sun_direction(),
+            sun,
             ambient: light::AMBIENT,
             diffuse: light::SUN,
             padding: [0.0; 3],
@@ -136,8 +136,14 @@ impl WgpuBackend {
             textures: &mut self.textures,
             instances,
         };
-        let [r, g, b] = light::SKY.map(f64::from);
-        let sky = wgpu::Color { r, g, b, a: 1.0 };
+        let opaque = |[r, g, b]: [f32; 3]| wgpu::Color {
+            r: f64::from(r),
+            g: f64::from(g),
+            b: f64::from(b),
+            a: 1.0,
+        };
+        let sky = opaque(light::SKY);
+        let no_normal = opaque(normal::encode([0.0; 3]).map(|code| f32::from(code) / 255.0));
         let nothing = wgpu::Color { r: f64::from(NO_ITEM), g: 0.0, b: 0.0, a: 0.0 };
         let started = |opens, clear| match opens {
             true => wgpu::LoadOp::Clear(clear),
@@ -148,6 +154,10 @@ impl WgpuBackend {
             Into::Depth => (None, &targets.occlusion),
             Into::Picture => {
                 (Some((targets.color(device), started(part.opens, sky))), targets.depth(device))
+            }
+            Into::Normals => {
+                let cleared = started(part.opens, no_normal);
+                (Some((targets.normals(device), cleared)), targets.depth(device))
             }
             Into::Items => {
                 (Some((targets.items(device), started(part.opens, nothing))), targets.depth(device))
@@ -178,9 +188,18 @@ impl WgpuBackend {
         (submission, Awaited::Occluders { done })
     }
 
-    fn picture(&mut self, mut encoder: wgpu::CommandEncoder, with_depth: bool) -> Submitted {
+    fn picture(
+        &mut self,
+        mut encoder: wgpu::CommandEncoder,
+        shading: Shading,
+        with_depth: bool,
+    ) -> Submitted {
         let (device, targets, size) = (&self.device, &self.targets, self.targets.size);
-        let mut color = Readback::of_target(device, &mut encoder, targets.color(device), size);
+        let target = match shading {
+            Shading::Lit { .. } => targets.color(device),
+            Shading::Normals => targets.normals(device),
+        };
+        let mut color = Readback::of_target(device, &mut encoder, target, size);
         let mut depth = with_depth
             .then(|| Readback::of_target(device, &mut encoder, targets.depth(device), size));
         let submission = device.queue.submit([encoder.finish()]);
@@ -205,8 +224,11 @@ impl WgpuBackend {
     fn drawn(&mut self, pass: &Pass) -> Option<Submitted> {
         let (into, lists, part) = match pass {
             Pass::Occluders { draws, part, .. } => (Into::Depth, [&draws[..], &[]], *part),
-            Pass::Shade { draws, part, .. } => {
+            Pass::Shade { shading: Shading::Lit { .. }, draws, part, .. } => {
                 (Into::Picture, [&draws.solid[..], &draws.blending], *part)
+            }
+            Pass::Shade { shading: Shading::Normals, draws, part, .. } => {
+                (Into::Normals, [&draws.solid[..], &[]], *part)
             }
             Pass::Items { draws, part, .. } => {
                 (Into::Items, [&draws.solid[..], &draws.blending], *part)
@@ -219,7 +241,7 @@ impl WgpuBackend {
             return None;
         }
         Some(match pass {
-            Pass::Shade { with_depth, .. } => self.picture(encoder, *with_depth),
+            Pass::Shade { shading, with_depth, .. } => self.picture(encoder, *shading, *with_depth),
             Pass::Items { .. } => self.items(encoder),
             Pass::Occluders { .. } | Pass::QueryBoxes { .. } => self.occluders(encoder),
         })
@@ -282,7 +304,12 @@ impl Backend for WgpuBackend {
         | Pass::Shade { view, .. }
         | Pass::Items { view, .. }) = &pass;
         self.under_way.take(&pass);
-        self.begin(view)?;
+        // Nothing else looks at it.
+        let sun = match &pass {
+            Pass::Shade { shading: Shading::Lit { sun }, .. } => *sun,
+            _ => [0.0; 3],
+        };
+        self.begin(view, sun)?;
         let submitted = match &pass {
             Pass::QueryBoxes { boxes, .. } if boxes.is_empty() => Vec::new(),
             Pass::QueryBoxes { boxes, method, .. } => self.boxes(boxes, *method)?,

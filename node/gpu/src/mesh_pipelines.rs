@@ -8,7 +8,7 @@
 
 use crate::device::Device;
 use crate::pipelines::{Recipe, attributes, compile};
-use crate::targets::{COLOR_FORMAT, ITEMS_FORMAT};
+use crate::targets::{COLOR_FORMAT, ITEMS_FORMAT, NORMALS_FORMAT};
 use protocol::format::Class;
 use protocol::format::vertex::Layout;
 use scene::occludee::{MESH_BIAS_PX, Rules};
@@ -23,6 +23,8 @@ pub(crate) enum Into {
     Depth,
     /// Colour and depth.
     Picture,
+    /// Normals and depth.
+    Normals,
     /// Item ids and depth.
     Items,
 }
@@ -94,7 +96,9 @@ impl Key {
     pub(crate) fn reads(self) -> Reads {
         match (self.into, self.layout, self.kind) {
             (Into::Picture, Layout::Projected, _) => Reads::Picture,
-            (Into::Picture, Layout::Textured, _) | (Into::Items, _, Kind::Mask) => Reads::Textures,
+            (Into::Picture | Into::Normals, Layout::Textured, _) | (Into::Items, _, Kind::Mask) => {
+                Reads::Textures
+            }
             _ => Reads::Nothing,
         }
     }
@@ -144,6 +148,7 @@ fn made(
             (shaders::PROJECTED, sound.guards.then_some("fragment_guard"))
         }
         (Into::Picture, _, Layout::Projected) => (shaders::PROJECTED, Some("fragment_main")),
+        (Into::Normals, _, Layout::Projected) => (shaders::PROJECTED, Some("fragment_normal")),
         (Into::Items, _, Layout::Projected) => (shaders::PROJECTED, Some("fragment_items")),
         (Into::Depth, ..) => (shaders::DEPTH, sound.guards.then_some("fragment_guard")),
         (Into::Picture, Kind::Mask, _) => (shaders::SHADE_MASK, Some("fragment_mask")),
@@ -155,12 +160,16 @@ fn made(
             (shaders::SHADE_TEXTURED, Some("fragment_blend"))
         }
         (Into::Picture, Kind::Blend, Layout::Plain) => (shaders::SHADE, Some("fragment_blend")),
+        (Into::Normals, Kind::Mask, _) => (shaders::SHADE_MASK, Some("fragment_mask_normal")),
+        (Into::Normals, _, Layout::Textured) => (shaders::SHADE_TEXTURED, Some("fragment_normal")),
+        (Into::Normals, _, Layout::Plain) => (shaders::SHADE, Some("fragment_normal")),
         (Into::Items, Kind::Mask, _) => (shaders::ITEMS_MASK, Some("fragment_main")),
         (Into::Items, ..) => (shaders::ITEMS, Some("fragment_main")),
     };
     let target = match key.into {
         Into::Depth => None,
         Into::Picture => Some(COLOR_FORMAT),
+        Into::Normals => Some(NORMALS_FORMAT),
         Into::Items => Some(ITEMS_FORMAT),
     };
     let blends = key.kind == Kind::Blend;
@@ -228,7 +237,7 @@ mod tests {
     #[test]
     fn plain_meshes_read_nothing() {
         for class in Class::ALL {
-            for into in [Into::Depth, Into::Picture, Into::Items] {
+            for into in [Into::Depth, Into::Picture, Into::Normals, Into::Items] {
                 let reads = Key::new(into, class, Layout::Plain, false).reads();
                 let masked = into == Into::Items && class.is_mask();
                 assert_eq!(reads, if masked { Reads::Textures } else { Reads::Nothing });
@@ -241,9 +250,9 @@ mod tests {
 
     #[test]
     fn pictures_of_projected_blobs_alone_read_them() {
-        let reads = [Into::Depth, Into::Items, Into::Picture]
+        let reads = [Into::Depth, Into::Items, Into::Normals, Into::Picture]
             .map(|into| Key::new(into, Class::OpaqueDouble, Layout::Projected, false).reads());
-        assert_eq!(reads, [Reads::Nothing, Reads::Nothing, Reads::Picture]);
+        assert_eq!(reads, [Reads::Nothing, Reads::Nothing, Reads::Nothing, Reads::Picture]);
     }
 
     #[test]

@@ -10,6 +10,8 @@ use wgpu::{TextureFormat, TextureUsages};
 pub(crate) const DEPTH_FORMAT: TextureFormat = TextureFormat::Depth32Float;
 /// The picture.
 pub(crate) const COLOR_FORMAT: TextureFormat = TextureFormat::Rgba8UnormSrgb;
+/// Normals, whose codes are stored as they are.
+pub(crate) const NORMALS_FORMAT: TextureFormat = TextureFormat::Rgba8Unorm;
 /// Item ids.
 pub(crate) const ITEMS_FORMAT: TextureFormat = TextureFormat::R32Uint;
 
@@ -29,6 +31,7 @@ pub(crate) struct Targets {
     pub(crate) occlusion: Target,
     depth: OnceCell<Target>,
     color: OnceCell<Target>,
+    normals: OnceCell<Target>,
     items: OnceCell<Target>,
     blended: OnceCell<Target>,
 }
@@ -52,6 +55,7 @@ impl Targets {
             occlusion,
             depth: OnceCell::new(),
             color: OnceCell::new(),
+            normals: OnceCell::new(),
             items: OnceCell::new(),
             blended: OnceCell::new(),
         })
@@ -65,6 +69,11 @@ impl Targets {
     /// The picture.
     pub(crate) fn color(&self, device: &Device) -> &Target {
         self.lazy(&self.color, device, COLOR_FORMAT)
+    }
+
+    /// Normals.
+    pub(crate) fn normals(&self, device: &Device) -> &Target {
+        self.lazy(&self.normals, device, NORMALS_FORMAT)
     }
 
     /// Item ids.

@@ -48,7 +48,8 @@ fn against_unculled(
     culled: &Picture,
 ) -> Result<Audit, RoleError> {
     let front = stage.front(camera);
-    let pass = |view, draws, part| Pass::Shade { view, draws, with_depth: true, part };
+    let shading = stage.shading();
+    let pass = |view, draws, part| Pass::Shade { view, shading, draws, with_depth: true, part };
     let (completion, ..) = stage.draw(camera, &front.entries, Promise::Exact, pass)?;
     let Completion::Picture { picture: whole, .. } = completion else {
         unreachable!("a picture answers as such")
@@ -110,7 +111,8 @@ fn stray(
     drawn: &Drawn,
     items: Option<Items>,
 ) -> Result<f64, RoleError> {
-    let pass = |view, draws, part| Pass::Shade { view, draws, with_depth: true, part };
+    let shading = stage.shading();
+    let pass = |view, draws, part| Pass::Shade { view, shading, draws, with_depth: true, part };
     let depth = match stage.draw_list(camera, &drawn.draws, pass)? {
         Some(Completion::Picture { picture, .. }) => picture.depth,
         _ => None,

@@ -16,7 +16,7 @@ use protocol::id::{FrameIndex, HlodId};
 use protocol::settings::{Residency as Promise, RunSettings};
 use protocol::telemetry::{BackendInfo, IoCounts};
 use protocol::visible::VisibleSet;
-use scene::backend::{Backend, BackendError, Completion, Draw, Draws, Part, Pass, View};
+use scene::backend::{Backend, BackendError, Completion, Draw, Draws, Part, Pass, Shading, View};
 use scene::draw_list::draw_list;
 use scene::front::{Front, FrontEntry, front_of};
 use scene::occludee::Rules;
@@ -113,6 +113,10 @@ impl<'a> Stage<'a> {
 
     fn view(&self, camera: &Camera) -> View {
         View::new(camera, self.settings.size)
+    }
+
+    fn shading(&self) -> Shading {
+        Shading::Lit { sun: self.settings.sun.unit() }
     }
 
     /// What `promise` lets be drawn of `entries` now.

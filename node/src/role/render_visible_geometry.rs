@@ -31,7 +31,8 @@ pub(crate) fn run(
     stage.begin_drawing()?;
     let front = stage.front(camera);
     let entries = entries_of(&front, visible.ids())?;
-    let pass = |view, draws, part| Pass::Shade { view, draws, with_depth, part };
+    let shading = stage.shading();
+    let pass = |view, draws, part| Pass::Shade { view, shading, draws, with_depth, part };
     let promise = stage.settings.residency;
     let (completion, shown, draws) = stage.draw(camera, &entries, promise, pass)?;
     let Completion::Picture { picture, .. } = completion else {

@@ -5,6 +5,7 @@ use super::*;
 use crate::fixture::{Piece, street, write};
 use crate::open::open_on;
 use protocol::settings::{BackendChoice, Cull, PictureSize, Residency, Schedule};
+use protocol::sun::Sun;
 use protocol::telemetry::CullCounts;
 use protocol::visible::VisibleSet;
 use scene::backend::cpu::CpuBackend;
@@ -19,6 +20,7 @@ fn settings(path: &Path, cull: Cull) -> RunSettings {
         scene_digest: [0; 32],
         size: SIZE,
         lod_px: 1.0,
+        sun: Sun::default(),
         cull,
         schedule: Schedule::Switch,
         backend: BackendChoice::Cpu,
@@ -185,7 +187,13 @@ fn holes_and_glass_lose_no_pixel_either() {
 fn draw_all(stage: &mut Stage<'_>, camera: &Camera) -> IoCounts {
     stage.begin_drawing().unwrap();
     let front = stage.front(camera);
-    let pass = |view, draws, part| Pass::Shade { view, draws, with_depth: false, part };
+    let pass = |view, draws, part| Pass::Shade {
+        view,
+        shading: Shading::default(),
+        draws,
+        with_depth: false,
+        part,
+    };
     stage.draw(camera, &front.entries, Promise::Exact, pass).unwrap();
     stage.take_io()
 }

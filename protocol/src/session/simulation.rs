@@ -14,6 +14,7 @@ use crate::id::{FrameIndex, HlodId, Seat};
 use crate::message::{FailureKind, Message, Token};
 use crate::schedule;
 use crate::settings::{BackendChoice, Cull, PictureSize, Residency, RunSettings, Schedule};
+use crate::sun::Sun;
 use crate::telemetry::{BackendInfo, CullCounts, DrawCounts, Nanos};
 use crate::visible::VisibleSet;
 use rand::rngs::StdRng;
@@ -107,6 +108,7 @@ impl Simulation {
             scene_digest: DIGEST,
             size: PictureSize { width: 64, height: 64 },
             lod_px: 1.0,
+            sun: Sun::default(),
             cull: Cull::Queries,
             schedule,
             backend: BackendChoice::Cpu,

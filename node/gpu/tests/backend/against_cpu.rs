@@ -1,13 +1,13 @@
 //! The driver against the rasteriser in Rust: the same scene, all but border pixels alike.
 
 use crate::support::{
-    Mesh, backend, cube_over, items, occluders, random_box, shade, view, visible,
+    Mesh, backend, cube_over, items, occluders, picture, random_box, shade, view, visible,
 };
 use protocol::settings::Cull;
 use rand::SeedableRng;
 use rand::rngs::StdRng;
 use scene::backend::cpu::CpuBackend;
-use scene::backend::{Backend, Draw};
+use scene::backend::{Backend, Draw, Shading};
 use scene::occludee::MESH_BIAS_PX;
 
 const WIDTH: u32 = 203;
@@ -67,6 +67,21 @@ fn pictures_and_depth_agree() {
     eprintln!("{colors} colours and {depths} depths of {PIXELS} differ");
     assert!(colors * 200 <= PIXELS, "{colors} of {PIXELS} colours differ");
     assert!(depths * 200 <= PIXELS, "{depths} of {PIXELS} depths differ");
+}
+
+#[test]
+fn normals_agree_to_a_step() {
+    let Some((mut gpu, mut cpu)) = both() else { return };
+    let view = view(WIDTH, HEIGHT);
+    let a = picture(&mut gpu, view, Shading::Normals, &crowd()).rgba;
+    let b = picture(&mut cpu, view, Shading::Normals, &crowd()).rgba;
+    let pairs = a.chunks_exact(4).zip(b.chunks_exact(4));
+    let other = pairs.filter(|(a, b)| a.iter().zip(*b).any(|(a, b)| a.abs_diff(*b) > 1)).count();
+    eprintln!("{other} normals of {PIXELS} differ");
+    assert!(other * 200 <= PIXELS, "{other} of {PIXELS} normals differ");
+    let sky = a.chunks_exact(4).filter(|pixel| *pixel == [128, 128, 128, 255]).count();
+    let up = a.chunks_exact(4).filter(|pixel| *pixel == [128, 128, 255, 255]).count();
+    assert!(sky > PIXELS / 20 && up > PIXELS / 20 && sky + up < PIXELS, "{sky} {up}");
 }
 
 /// Drivers move vertices to a raster of 1/256 pixel, so depth may be off by a part of what it changes

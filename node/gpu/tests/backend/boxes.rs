@@ -6,7 +6,7 @@ use crate::support::{
 use protocol::settings::Cull;
 use rand::SeedableRng;
 use rand::rngs::StdRng;
-use scene::backend::{Backend, BoxQuery, Completion, Draw, Part, Pass, View};
+use scene::backend::{Backend, BoxQuery, Completion, Draw, Part, Pass, Shading, View};
 use scene::occludee::Rules;
 
 fn scene(random: &mut StdRng, boxes: usize) -> (Vec<Draw>, Vec<BoxQuery>) {
@@ -117,7 +117,13 @@ fn answers_stream_in_order_and_depth_stays_as_it_is() {
     let pass = Pass::Occluders { view, draws: walls.clone(), part };
     let occluders = backend.submit(pass).unwrap();
     let first = backend.submit(query.clone()).unwrap();
-    let shade = Pass::Shade { view, draws: lists(&walls[..1]), with_depth: false, part };
+    let shade = Pass::Shade {
+        view,
+        shading: Shading::default(),
+        draws: lists(&walls[..1]),
+        with_depth: false,
+        part,
+    };
     let picture = backend.submit(shade).unwrap();
     let second = backend.submit(query).unwrap();
     let mut completions = Vec::new();

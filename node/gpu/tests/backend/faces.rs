@@ -1,13 +1,13 @@
 //! Faces of scan cubes, and both backends to draw them with.
 
-use crate::support::{Mesh, backend, draw, items, shade, vertex, view};
+use crate::support::{Mesh, backend, draw, items, picture, vertex, view};
 use protocol::format::vertex::Layout;
 use protocol::format::{Blob, Class, Vertex, projected};
 use protocol::id::{BlobId, HlodId};
 use rand::Rng;
 use rand::rngs::StdRng;
 use scene::backend::cpu::CpuBackend;
-use scene::backend::{Backend, Draw, Picture, Upload};
+use scene::backend::{Backend, Draw, Picture, Shading, Upload};
 
 pub(crate) const SIDE: u32 = 64;
 pub(crate) const ACROSS: usize = (SIDE / projected::TILE) as usize;
@@ -140,9 +140,13 @@ impl Both {
 
     /// What each makes of the draws.
     pub(crate) fn shade(&mut self, draws: &[Draw]) -> Vec<Picture> {
+        self.pictures(Shading::default(), draws)
+    }
+
+    pub(crate) fn pictures(&mut self, shading: Shading, draws: &[Draw]) -> Vec<Picture> {
         let view = view(VIEW, VIEW);
-        let mut pictures = vec![shade(&mut self.cpu, view, draws)];
-        pictures.extend(self.gpu.as_mut().map(|gpu| shade(gpu, view, draws)));
+        let mut pictures = vec![picture(&mut self.cpu, view, shading, draws)];
+        pictures.extend(self.gpu.as_mut().map(|gpu| picture(gpu, view, shading, draws)));
         pictures
     }
 

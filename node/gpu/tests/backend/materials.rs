@@ -1,6 +1,6 @@
 //! Textures, holes, blending and single-sided faces: the driver against the rasteriser in Rust.
 
-use crate::support::{Mesh, backend, draw, items, lists, shade, vertex, view};
+use crate::support::{Mesh, backend, draw, items, lists, picture, shade, vertex, view};
 use protocol::format::texture::mips;
 use protocol::format::vertex::Layout;
 use protocol::format::{Blob, Class, NONE, Texture, TexturedVertex, Wrap};
@@ -8,7 +8,7 @@ use protocol::id::BlobId;
 use rand::rngs::StdRng;
 use rand::{Rng, SeedableRng};
 use scene::backend::cpu::CpuBackend;
-use scene::backend::{Backend, Draw, NO_ITEM, Part, Picture, Upload};
+use scene::backend::{Backend, Draw, NO_ITEM, Part, Picture, Shading, Upload};
 
 const WIDTH: u32 = 127;
 const HEIGHT: u32 = 95;
@@ -70,18 +70,31 @@ impl Both {
 
     /// Draws with both and compares; the driver's picture.
     fn agree(&mut self, draws: &[Draw]) -> Picture {
-        let view = view(WIDTH, HEIGHT);
-        let (a, b) = (shade(&mut self.gpu, view, draws), shade(&mut self.cpu, view, draws));
-        let pairs = a.rgba.chunks_exact(4).zip(b.rgba.chunks_exact(4));
-        let off = |(a, b): &(&[u8], &[u8])| a.iter().zip(*b).any(|(a, b)| a.abs_diff(*b) > 3);
-        let colors = pairs.filter(off).count();
-        let depths = a.depth.iter().flatten().zip(b.depth.iter().flatten());
+        let (lit, of_cpu) = self.pictures(Shading::default(), draws);
+        let depths = lit.depth.iter().flatten().zip(of_cpu.depth.iter().flatten());
         let depths = depths.filter(|(a, b)| (*a - *b).abs() > 1e-4).count();
-        eprintln!("{colors} colours and {depths} depths differ");
+        let colors = off(&lit, &of_cpu, 3);
+        let (a, b) = self.pictures(Shading::Normals, draws);
+        let normals = off(&a, &b, 1);
+        let counts = format!("{colors} colours, {normals} normals and {depths} depths differ");
+        eprintln!("{counts}");
         let most = (WIDTH * HEIGHT) as usize / 50;
-        assert!(colors <= most && depths <= most, "{colors} colours and {depths} depths differ");
-        a
+        assert!([colors, normals, depths].iter().all(|&count| count <= most), "{counts}");
+        lit
     }
+
+    /// The driver's picture and the rasteriser's.
+    fn pictures(&mut self, shading: Shading, draws: &[Draw]) -> (Picture, Picture) {
+        let view = view(WIDTH, HEIGHT);
+        let of_gpu = picture(&mut self.gpu, view, shading, draws);
+        (of_gpu, picture(&mut self.cpu, view, shading, draws))
+    }
+}
+
+/// Pixels that are off by more than so many steps.
+fn off(a: &Picture, b: &Picture, steps: u8) -> usize {
+    let pairs = a.rgba.chunks_exact(4).zip(b.rgba.chunks_exact(4));
+    pairs.filter(|(a, b)| a.iter().zip(*b).any(|(a, b)| a.abs_diff(*b) > steps)).count()
 }
 
 /// Noise with alpha.
@@ -151,6 +164,24 @@ fn masks_have_holes_that_show_what_lies_behind() {
     for item in [0, 1] {
         assert!(shown.iter().filter(|&&id| id == item).count() > 1500, "{item}");
     }
+}
+
+#[test]
+fn normals_are_those_of_what_is_there_and_does_not_blend() {
+    let rgba = [[255u8, 255, 255, 255], [255, 255, 255, 0]].as_flattened().repeat(2);
+    let Some(mut both) = Both::new(&[(2, [Wrap::Repeat; 2], rgba)]) else { return };
+    both.square(0, Class::MaskDouble, u32::MAX, Some((0, 4.0)));
+    both.square(1, Class::OpaqueDouble, u32::MAX, Some((0, 4.0)));
+    both.square(2, Class::BlendDouble, RED, Some((0, 4.0)));
+    both.square(3, Class::BlendSingle, GREEN, None);
+    let solid = [wall(0, 3.0, 0.0, 2.0), floor(1)];
+    let glass = [wall(2, 9.0, 0.0, 1.5), wall(3, 9.0, 0.0, 3.0)];
+    let (alone, _) = both.pictures(Shading::Normals, &solid);
+    let (behind, of_cpu) = both.pictures(Shading::Normals, &[&solid[..], &glass].concat());
+    assert!(alone == behind && off(&behind, &of_cpu, 1) * 50 < (WIDTH * HEIGHT) as usize);
+    let count = |code: [u8; 3]| alone.rgba.chunks(4).filter(|p| p[..3] == code).count();
+    let [wall, floor, sky] = [[128, 128, 255], [128, 255, 128], [128; 3]].map(count);
+    assert!([wall, floor, sky].iter().all(|&pixels| pixels > 1000), "{wall} {floor} {sky}");
 }
 
 #[test]

@@ -4,7 +4,7 @@ use crate::support::{Mesh, backend, draw, lists, shade, view};
 use protocol::id::BlobId;
 use rand::SeedableRng;
 use rand::rngs::StdRng;
-use scene::backend::{Backend, Draw, Part};
+use scene::backend::{Backend, Draw, Part, Shading};
 
 fn soups(count: u64, triangles: usize) -> Vec<Mesh> {
     (0..count).map(|seed| Mesh::soup(&mut StdRng::seed_from_u64(seed), triangles)).collect()
@@ -59,7 +59,13 @@ fn a_blob_may_be_replaced_while_its_picture_is_under_way() {
     let first = shade(&mut backend, view, &draws);
     assert!(first != second);
     let (draws, part) = (lists(&draws), Part::WHOLE);
-    let pass = scene::backend::Pass::Shade { view, draws, with_depth: true, part };
+    let pass = scene::backend::Pass::Shade {
+        view,
+        shading: Shading::default(),
+        draws,
+        with_depth: true,
+        part,
+    };
     backend.submit(pass.clone()).unwrap();
     meshes[1].upload(&mut backend, 0);
     backend.submit(pass).unwrap();

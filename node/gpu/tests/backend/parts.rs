@@ -10,7 +10,7 @@ use rand::rngs::StdRng;
 use rand::{Rng, SeedableRng};
 use scene::backend::cpu::CpuBackend;
 use scene::backend::{
-    Backend, BoxQuery, Completion, Draw, Draws, NO_ITEM, Part, Pass, UNLIMITED, Upload,
+    Backend, BoxQuery, Completion, Draw, Draws, NO_ITEM, Part, Pass, Shading, UNLIMITED, Upload,
 };
 
 const WIDTH: u32 = 97;
@@ -143,8 +143,21 @@ fn seen(
     let view = view(WIDTH, HEIGHT);
     let mut held: Vec<u32> = Vec::new();
     let mut answers = Vec::new();
-    let kinds: [fn(_, Draws, Part) -> Pass; 3] = [
-        |view, draws, part| Pass::Shade { view, draws, with_depth: true, part },
+    let kinds: [fn(_, Draws, Part) -> Pass; 4] = [
+        |view, draws, part| Pass::Shade {
+            view,
+            shading: Shading::default(),
+            draws,
+            with_depth: true,
+            part,
+        },
+        |view, draws, part| Pass::Shade {
+            view,
+            shading: Shading::Normals,
+            draws,
+            with_depth: true,
+            part,
+        },
         |view, draws, part| Pass::Items { view, draws, part },
         |view, draws, part| Pass::Occluders { view, draws: draws.solid, part },
     ];
@@ -191,7 +204,7 @@ fn seen(
         | Completion::Boxes { ticket, .. }) = answer;
         ticket.0 = 0;
     }
-    assert_eq!(answers.len(), 4);
+    assert_eq!(answers.len(), 5);
     answers
 }
 
@@ -224,7 +237,7 @@ fn parts_change_no_bit(roomy: &mut impl Backend, tight: &mut impl Backend) {
 }
 
 fn proves_something(answers: &[Completion]) {
-    let [_, Completion::Items { items, blended, .. }, _, Completion::Boxes { visible, .. }] =
+    let [_, _, Completion::Items { items, blended, .. }, _, Completion::Boxes { visible, .. }] =
         answers
     else {
         panic!("four answers")

@@ -1,9 +1,11 @@
 //! The shading rule, depth, and what pictures must not depend on.
 
-use crate::support::{Mesh, NEAR, backend, cube_over, draw, items, random_box, shade, view};
+use crate::support::{
+    Mesh, NEAR, backend, cube_over, draw, items, picture, random_box, shade, view,
+};
 use rand::SeedableRng;
 use rand::rngs::StdRng;
-use scene::backend::{Draw, light};
+use scene::backend::{Draw, Shading, light, normal};
 
 fn srgb_byte(linear: f32) -> u8 {
     let encoded =
@@ -11,27 +13,38 @@ fn srgb_byte(linear: f32) -> u8 {
     (encoded * 255.0).round() as u8
 }
 
-/// Colour of the middle pixel of a wall with a normal, drawn with columns `linear`.
-fn wall_color(normal: [f32; 3], linear: [[f32; 3]; 3]) -> Option<[u8; 4]> {
+/// The middle pixel of a wall with a normal, drawn with columns `linear`.
+fn wall_pixel(shading: Shading, normal: [f32; 3], linear: [[f32; 3]; 3]) -> Option<[u8; 4]> {
     let mut backend = backend(9, 9)?;
     Mesh::square(normal, u32::from_le_bytes([255, 128, 0, 7])).upload(&mut backend, 0);
     let corner = |k: usize| -0.5 * (linear[0][k] + linear[1][k]);
     let wall =
         Draw { linear, offset: [corner(0), corner(1), -1.0], ..draw(0, 0, [1.0; 3], [0.0; 3]) };
-    let picture = shade(&mut backend, view(9, 9), &[wall]);
+    let picture = picture(&mut backend, view(9, 9), shading, &[wall]);
     let depth = picture.depth.expect("asked for depth")[40];
     assert!((depth - NEAR).abs() < 1e-6, "depth of a wall at distance 1: {depth}");
     Some(picture.rgba[160..164].try_into().expect("four bytes"))
 }
 
 fn check_wall(normal: [f32; 3], linear: [[f32; 3]; 3], scene_normal: [f32; 3]) {
-    let Some(found) = wall_color(normal, linear) else { return };
-    let factor = light::intensity(scene_normal);
-    let expected = [1.0, 128.0 / 255.0, 0.0].map(|base| srgb_byte(base * factor));
-    for (a, b) in found.iter().zip(expected) {
-        assert!(a.abs_diff(b) <= 1, "{found:?}, not {expected:?}, normal {scene_normal:?}");
+    let lit = |sun| {
+        let factor = light::intensity(scene_normal, sun);
+        [1.0, 128.0 / 255.0, 0.0].map(|base| srgb_byte(base * factor))
+    };
+    let other_sun = [-0.48, 0.6, 0.64];
+    let Shading::Lit { sun } = Shading::default() else { panic!("lit by default") };
+    for (shading, expected) in [
+        (Shading::Lit { sun }, lit(sun)),
+        (Shading::Lit { sun: other_sun }, lit(other_sun)),
+        (Shading::Normals, normal::encode(scene_normal)),
+    ] {
+        let Some(found) = wall_pixel(shading, normal, linear) else { return };
+        for (a, b) in found.iter().zip(expected) {
+            let off = a.abs_diff(b);
+            assert!(off <= 1, "{shading:?}: {found:?}, not {expected:?}, normal {scene_normal:?}");
+        }
+        assert_eq!(found[3], 255, "opaque");
     }
-    assert_eq!(found[3], 255, "opaque");
 }
 
 #[test]
@@ -67,11 +80,11 @@ fn tiny_grid_steps_keep_their_light() {
     let small = (-70f32).exp2();
     let mut tiny = view(9, 9);
     tiny.clip_from_eye[3][2] *= small;
-    let picture = |backend: &mut _, view, scale: f32| {
+    let shown = |backend: &mut _, view, scale: f32| {
         let offset = [-2.0 * scale, -2.0 * scale, -scale];
         shade(backend, view, &[draw(0, 0, [4.0 * scale; 3], offset)]).rgba
     };
-    assert_eq!(picture(&mut backend, tiny, small), picture(&mut backend, view(9, 9), 1.0));
+    assert_eq!(shown(&mut backend, tiny, small), shown(&mut backend, view(9, 9), 1.0));
 }
 
 fn crowd() -> Vec<Draw> {

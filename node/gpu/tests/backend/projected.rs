@@ -15,7 +15,7 @@ use rand::rngs::StdRng;
 use rand::{Rng, SeedableRng};
 use scene::backend::cpu::CpuBackend;
 use scene::backend::{
-    Backend, BoxQuery, Completion, Draw, Draws, NO_ITEM, Part, Pass, Picture, Upload,
+    Backend, BoxQuery, Completion, Draw, Draws, NO_ITEM, Part, Pass, Picture, Shading, Upload,
 };
 
 /// Pixels that are off by more than so many levels of a channel.
@@ -150,6 +150,20 @@ fn the_picture_lies_where_the_sample_saw_it() {
             wrong += usize::from(picture.rgba[4 * at] != color(white)[0]);
         }
         assert!(checked > 800 && wrong == 0, "{wrong} of {checked}");
+    }
+}
+
+#[test]
+fn a_face_has_no_normals_and_hides_those_behind_it() {
+    let (mut both, random) = (Both::new(), &mut StdRng::seed_from_u64(12));
+    both.face(0, &Face::whole(random, 0.25, 0.0));
+    both.mesh(1, &Mesh::square([0.0, 0.0, 1.0], !0));
+    let wall = draw(1, 11, [9.0; 3], [-9.0, -4.0, -3.0]);
+    for picture in both.pictures(Shading::Normals, &[wall, seen(0, [0.0; 3])]) {
+        for (at, pixel) in picture.rgba.chunks(4).enumerate() {
+            let left = at % (VIEW as usize) < VIEW as usize / 2;
+            assert_eq!(pixel, [128, 128, if left { 255 } else { 128 }, 255], "{at}");
+        }
     }
 }
 
@@ -332,7 +346,13 @@ fn parts_change_nothing(backend: &mut impl Backend) {
     draws.insert(2, draw(4, 4, [1.0; 3], [-0.5, -0.5, -2.0]));
     let solid = |draws: &[Draw]| Draws { solid: draws.to_vec(), ..Draws::default() };
     let kinds: [fn(_, Draws, Part) -> Pass; 2] = [
-        |view, draws, part| Pass::Shade { view, draws, with_depth: true, part },
+        |view, draws, part| Pass::Shade {
+            view,
+            shading: Shading::default(),
+            draws,
+            with_depth: true,
+            part,
+        },
         |view, draws, part| Pass::Items { view, draws, part },
     ];
     for kind in kinds {

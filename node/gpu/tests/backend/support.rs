@@ -7,8 +7,8 @@ use protocol::settings::{Cull, PictureSize};
 use rand::Rng;
 use rand::rngs::StdRng;
 use scene::backend::{
-    Backend, BackendError, BoxQuery, Completion, Draw, Draws, Part, Pass, Picture, UNLIMITED,
-    Upload, View,
+    Backend, BackendError, BoxQuery, Completion, Draw, Draws, Part, Pass, Picture, Shading,
+    UNLIMITED, Upload, View,
 };
 use scene::occludee::Rules;
 
@@ -197,8 +197,17 @@ pub(crate) fn items(backend: &mut impl Backend, view: View, draws: &[Draw]) -> V
 }
 
 pub(crate) fn shade(backend: &mut impl Backend, view: View, draws: &[Draw]) -> Picture {
-    let draws = lists(draws);
-    match run(backend, Pass::Shade { view, draws, with_depth: true, part: Part::WHOLE }).pop() {
+    picture(backend, view, Shading::default(), draws)
+}
+
+pub(crate) fn picture(
+    backend: &mut impl Backend,
+    view: View,
+    shading: Shading,
+    draws: &[Draw],
+) -> Picture {
+    let (draws, part) = (lists(draws), Part::WHOLE);
+    match run(backend, Pass::Shade { view, shading, draws, with_depth: true, part }).pop() {
         Some(Completion::Picture { picture, .. }) => picture,
         other => panic!("a picture expected, not {other:?}"),
     }

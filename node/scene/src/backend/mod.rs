@@ -11,6 +11,7 @@
 
 pub mod cpu;
 pub mod light;
+pub mod normal;
 mod part;
 
 pub use part::{Part, UnderWay};
@@ -19,6 +20,7 @@ use crate::store::{Store, StoreError};
 use protocol::format::{Blob, Texture, Wrap, texture};
 use protocol::id::{BlobId, HlodId};
 use protocol::settings::{Cull, PictureSize};
+use protocol::sun::Sun;
 use protocol::telemetry::BackendInfo;
 
 /// Where the camera looks, for a whole pass.
@@ -99,6 +101,26 @@ pub struct BoxQuery {
     pub max: [f32; 3],
 }
 
+/// What the pixels of a picture are.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Shading {
+    /// Colours under [`light`], sRGB-encoded.
+    Lit {
+        /// Unit vector towards the sun, scene axes.
+        sun: [f32; 3],
+    },
+    /// Codes ([`normal`]) of unit normals in scene axes that face the viewer, of the nearest that does not
+    /// blend: what blends shows through, and is left out. Where nothing is drawn, and on projected blobs,
+    /// stands the code of no normal.
+    Normals,
+}
+
+impl Default for Shading {
+    fn default() -> Self {
+        Self::Lit { sun: Sun::default().unit() }
+    }
+}
+
 /// Work for a backend.
 ///
 /// Draws are rendered in the order given, see [`Draws`]. Single-sided triangles are drawn from their front
@@ -127,6 +149,8 @@ pub enum Pass {
     Shade {
         /// The camera.
         view: View,
+        /// What its pixels are.
+        shading: Shading,
         /// What is seen.
         draws: Draws,
         /// Return the depth as well; the part that closes decides.
@@ -149,10 +173,10 @@ pub enum Pass {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Ticket(pub u64);
 
-/// A picture: `4 * width * height` bytes, sRGB-encoded RGBA, top row first.
+/// A picture: `4 * width * height` bytes, top row first.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Picture {
-    /// RGBA bytes.
+    /// RGB as its [`Shading`] says, and 255.
     pub rgba: Vec<u8>,
     /// Depth, `width * height`, where it was asked for.
     pub depth: Option<Vec<f32>>,

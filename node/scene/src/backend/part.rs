@@ -1,12 +1,12 @@
 //! Passes in parts: draws that together need more memory than there is, one stretch after the other.
 
-use super::{Pass, View};
+use super::{Pass, Shading, View};
 use std::mem::{Discriminant, discriminant};
 
 /// Where a stretch of draws stands in its pass.
 ///
 /// The parts of a pass follow each other with nothing between but uploads and evictions. All have the
-/// same view, and solid draws come before any that blend. Only the last is answered. Then the answer is,
+/// same view and shading, and solid draws come before any that blend. Only the last is answered. Then the answer is,
 /// bit for bit, that of the pass in one part, wherever the lists are cut: [`super::Draws::solid`] between
 /// blobs, [`super::Draws::blending`] anywhere.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -30,6 +30,7 @@ pub struct UnderWay(Option<Begun>);
 struct Begun {
     kind: Discriminant<Pass>,
     view: View,
+    shading: Option<Shading>,
     /// Something that blends was drawn.
     blends: bool,
 }
@@ -45,11 +46,16 @@ impl UnderWay {
                 (view, !draws.solid.is_empty(), !draws.blending.is_empty(), *part)
             }
         };
+        let shading = match pass {
+            Pass::Shade { shading, .. } => Some(*shading),
+            _ => None,
+        };
         let kind = discriminant(pass);
         let begun = self.0.take();
         assert_eq!(begun.is_none(), part.opens, "a pass ends before the next begins");
-        let before = begun.unwrap_or(Begun { kind, view: *view, blends: false });
-        assert!(before.kind == kind && before.view == *view, "parts of one pass");
+        let before = begun.unwrap_or(Begun { kind, view: *view, shading, blends: false });
+        let is_same = before.kind == kind && before.view == *view && before.shading == shading;
+        assert!(is_same, "parts of one pass");
         assert!(!(before.blends && solid), "what is solid comes before what blends");
         if !part.closes {
             self.0 = Some(Begun { blends: before.blends || blends, ..before });
@@ -94,6 +100,10 @@ mod tests {
         Pass::QueryBoxes { view: view(1), boxes: vec![], method: Cull::Queries }
     }
 
+    fn shade(shading: Shading, part: Part) -> Pass {
+        Pass::Shade { view: view(1), shading, draws: Draws::default(), with_depth: false, part }
+    }
+
     fn are_taken(passes: &[Pass]) -> bool {
         let take = || {
             let mut under_way = UnderWay::default();
@@ -117,6 +127,8 @@ mod tests {
         assert!(!are_taken(&[items(1, 0, OPENS), items(1, 0, OPENS)]), "begun twice");
         assert!(!are_taken(&[items(1, 0, OPENS), boxes()]), "another pass between");
         assert!(!are_taken(&[items(1, 0, OPENS), occluders(1, CLOSES)]), "another pass");
+        let begun = shade(Shading::default(), OPENS);
+        assert!(!are_taken(&[begun, shade(Shading::Normals, CLOSES)]), "another shading");
         assert!(!are_taken(&[occluders(1, OPENS), occluders(2, CLOSES)]), "another view");
         assert!(!are_taken(&[items(0, 1, OPENS), items(1, 0, CLOSES)]), "solid behind blending");
     }

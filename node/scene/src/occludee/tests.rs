@@ -1,7 +1,7 @@
 //! Whole frames of random scenes, culled and not; what each rule is for.
 
 use super::*;
-use crate::backend::{Backend, Completion, Draws, NO_ITEM, Part, Pass, Picture, View};
+use crate::backend::{Backend, Completion, Draws, NO_ITEM, Part, Pass, Picture, Shading, View};
 use crate::draw_list::draw_list;
 use crate::front::{FrontEntry, front};
 use crate::random_scene::RandomScene;
@@ -17,7 +17,16 @@ fn run(backend: &mut impl Backend, pass: Pass) -> Completion {
 }
 
 fn picture(backend: &mut impl Backend, view: View, draws: Draws) -> Picture {
-    match run(backend, Pass::Shade { view, draws, with_depth: true, part: Part::WHOLE }) {
+    match run(
+        backend,
+        Pass::Shade {
+            view,
+            shading: Shading::default(),
+            draws,
+            with_depth: true,
+            part: Part::WHOLE,
+        },
+    ) {
         Completion::Picture { picture, .. } => picture,
         other => panic!("{other:?}"),
     }

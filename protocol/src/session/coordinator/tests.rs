@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::settings::{BackendChoice, Cull, PictureSize, Residency, Schedule};
+use crate::sun::Sun;
 
 const TOKEN: Token = Token([4; 32]);
 
@@ -11,6 +12,7 @@ fn coordinator() -> Coordinator {
         scene_digest: [1; 32],
         size: PictureSize { width: 8, height: 8 },
         lod_px: 1.0,
+        sun: Sun::default(),
         cull: Cull::Queries,
         schedule: Schedule::Switch,
         backend: BackendChoice::Auto,

@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::settings::{BackendChoice, Cull, PictureSize, Residency, Schedule};
+use crate::sun::Sun;
 use proptest::prelude::*;
 
 const DIGEST: [u8; 32] = [1; 32];
@@ -12,6 +13,7 @@ fn welcome(seat: u8, schedule: Schedule) -> Message {
         scene_digest: DIGEST,
         size: PictureSize { width: 8, height: 8 },
         lod_px: 1.0,
+        sun: Sun::default(),
         cull: Cull::Queries,
         schedule,
         backend: BackendChoice::Auto,

@@ -78,7 +78,7 @@ pub(super) fn is_visible(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::backend::{Backend, Completion, Part, Pass, View};
+    use crate::backend::{Backend, Completion, Part, Pass, Shading, View};
     use crate::draw_list::draw_list;
     use crate::front::front;
     use crate::occludee::{Rules, Test, test_for};
@@ -118,7 +118,13 @@ mod tests {
             let hlod = scene.skeleton.hlod(entry.hlod);
             let Test::Query(query) = test_for(hlod, &camera, size, rules) else { continue };
             let draws = draw_list(&scene.skeleton, &[entry], camera.eye);
-            let pass = Pass::Shade { view, draws, with_depth: true, part: Part::WHOLE };
+            let pass = Pass::Shade {
+                view,
+                shading: Shading::default(),
+                draws,
+                with_depth: true,
+                part: Part::WHOLE,
+            };
             backend.submit(pass).unwrap();
             let mut completions = Vec::new();
             backend.poll(&mut completions).unwrap();

@@ -2,7 +2,7 @@
 
 use super::paint::Painter;
 use super::target::{Depth, pixel_count};
-use crate::backend::{NO_ITEM, Pass, light};
+use crate::backend::{NO_ITEM, Pass, Shading, light, normal};
 use protocol::settings::PictureSize;
 
 /// Depth, and what goes with it.
@@ -15,8 +15,10 @@ pub(super) struct Canvas {
 pub(super) enum Layer {
     /// Nothing.
     Bare,
-    /// Linear colours.
-    Colors(Vec<[f32; 3]>),
+    /// Linear colours under a sun.
+    Colors { colors: Vec<[f32; 3]>, sun: [f32; 3] },
+    /// Codes of normals.
+    Normals(Vec<[u8; 3]>),
     /// Items of what is solid, and of what blends.
     Items { items: Vec<u32>, blended: Vec<u32> },
 }
@@ -27,7 +29,12 @@ impl Canvas {
         let pixels = pixel_count(size);
         let layer = match pass {
             Pass::Occluders { .. } | Pass::QueryBoxes { .. } => Layer::Bare,
-            Pass::Shade { .. } => Layer::Colors(vec![light::SKY; pixels]),
+            Pass::Shade { shading: Shading::Lit { sun }, .. } => {
+                Layer::Colors { colors: vec![light::SKY; pixels], sun: *sun }
+            }
+            Pass::Shade { shading: Shading::Normals, .. } => {
+                Layer::Normals(vec![normal::encode([0.0; 3]); pixels])
+            }
             Pass::Items { .. } => {
                 Layer::Items { items: vec![NO_ITEM; pixels], blended: vec![NO_ITEM; pixels] }
             }
@@ -41,10 +48,11 @@ impl Canvas {
         let Self { depth, layer } = self;
         match layer {
             Layer::Bare => solid.occlude(depth),
-            Layer::Colors(colors) => {
-                solid.paint(depth, colors);
-                blending.blend(depth, colors);
+            Layer::Colors { colors, sun } => {
+                solid.paint(depth, colors, *sun);
+                blending.blend(depth, colors, *sun);
             }
+            Layer::Normals(normals) => solid.paint_normals(depth, normals),
             Layer::Items { items, blended } => {
                 solid.mark(depth, items);
                 blending.mark_blending(depth, blended);

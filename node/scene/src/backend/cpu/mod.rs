@@ -114,18 +114,25 @@ impl CpuBackend {
         Canvas { depth, layer }: Canvas,
         with_depth: bool,
     ) -> Completion {
+        let picture = |rgba, depth: Depth| {
+            let depth = with_depth.then(|| depth.into_pixels());
+            Completion::Picture { ticket, picture: Picture { rgba, depth } }
+        };
         match layer {
             Layer::Bare => {
                 let tiles = depth.tile_minima();
                 self.occlusion = Some((depth, tiles));
                 Completion::Occluders { ticket }
             }
-            Layer::Colors(colors) => {
+            Layer::Colors { colors, sun: _ } => {
                 let rgba =
                     colors.into_iter().flat_map(|linear| self.srgb.encode_rgba(linear)).collect();
-                let depth = with_depth.then(|| depth.into_pixels());
-                Completion::Picture { ticket, picture: Picture { rgba, depth } }
+                picture(rgba, depth)
             }
+            Layer::Normals(normals) => picture(
+                normals.into_iter().flat_map(|[x, y, z]| [x, y, z, u8::MAX]).collect(),
+                depth,
+            ),
             Layer::Items { items, blended } => Completion::Items { ticket, items, blended },
         }
     }
@@ -186,7 +193,7 @@ impl Backend for CpuBackend {
                 return Ok(ticket);
             }
             Pass::Occluders { view, draws, part } => (view, [&draws[..], &[]], *part, false),
-            Pass::Shade { view, draws, with_depth, part } => {
+            Pass::Shade { view, draws, with_depth, part, .. } => {
                 (view, [&draws.solid[..], &draws.blending], *part, *with_depth)
             }
             Pass::Items { view, draws, part } => {

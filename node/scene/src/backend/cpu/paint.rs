@@ -6,7 +6,7 @@ use super::raster::{Span, Turns};
 use super::shade::{Pixel, Placement, Surface};
 use super::target::{Depth, pixel_count};
 use super::texture::Textures;
-use crate::backend::Draw;
+use crate::backend::{Draw, normal};
 use protocol::format::Class;
 use protocol::id::BlobId;
 use std::collections::HashMap;
@@ -54,34 +54,56 @@ impl<'a> Painter<'a> {
     }
 
     /// Writes depth and linear colours of what is solid.
-    pub(super) fn paint(&self, depth: &mut Depth, colors: &mut [[f32; 3]]) {
+    pub(super) fn paint(&self, depth: &mut Depth, colors: &mut [[f32; 3]], sun: [f32; 3]) {
+        self.shade(depth, colors, |surface, pixel, ray| {
+            let [r, g, b, _] = surface.color(self.textures, sun, pixel, ray);
+            [r, g, b]
+        });
+    }
+
+    /// Writes depth and codes of normals of what is solid.
+    pub(super) fn paint_normals(&self, depth: &mut Depth, normals: &mut [[u8; 3]]) {
+        self.shade(depth, normals, |surface, pixel, ray| {
+            normal::encode(surface.normal(pixel, ray))
+        });
+    }
+
+    /// Writes depth of what is solid, and what `look` sees of it.
+    fn shade<T>(
+        &self,
+        depth: &mut Depth,
+        pixels: &mut [T],
+        look: impl Fn(&Surface<'a>, Pixel, [f64; 3]) -> T,
+    ) {
         if self.draws.is_empty() {
             return;
         }
-        // Colours are worked out once a pixel, when all that could hide it has been drawn.
+        // Each pixel is worked out once, when all that could hide it has been drawn.
         let mut owners = vec![NO_OWNER; pixel_count(self.projection.size)];
         self.own(depth, &mut owners, |owner| owner);
         let placements = self.placements();
         let mut latest = Latest(None);
         let width = self.projection.size.width as usize;
-        let rows = owners.chunks_exact(width).zip(colors.chunks_exact_mut(width));
-        for ((owners, colors), y) in rows.zip(0..) {
-            for ((&owner, color), x) in owners.iter().zip(colors).zip(0..) {
+        let rows = owners.chunks_exact(width).zip(pixels.chunks_exact_mut(width));
+        for ((owners, pixels), y) in rows.zip(0..) {
+            for ((&owner, seen), x) in owners.iter().zip(pixels).zip(0..) {
                 if owner != NO_OWNER {
-                    let [r, g, b, _] = self.color(&mut latest, &placements, owner, [x, y]);
-                    *color = [r, g, b];
+                    let pixel = self.pixel(x, y);
+                    *seen = look(latest.of(owner, self, &placements), pixel, self.ray(pixel));
                 }
             }
         }
     }
 
     /// Lays the colours of what blends over `colors`.
-    pub(super) fn blend(&self, depth: &Depth, colors: &mut [[f32; 3]]) {
+    pub(super) fn blend(&self, depth: &Depth, colors: &mut [[f32; 3]], sun: [f32; 3]) {
         let placements = self.placements();
         let mut latest = Latest(None);
         self.rasterise(self.draw_by_draw(&BLEND), |owner, _, span| {
             depth.visit_passing(&span, |at, x| {
-                let [r, g, b, alpha] = self.color(&mut latest, &placements, owner, [x, span.y]);
+                let pixel = self.pixel(x, span.y);
+                let surface = latest.of(owner, self, &placements);
+                let [r, g, b, alpha] = surface.color(self.textures, sun, pixel, self.ray(pixel));
                 for (under, over) in colors[at].iter_mut().zip([r, g, b]) {
                     *under += (over - *under) * alpha;
                 }
@@ -120,18 +142,10 @@ impl<'a> Painter<'a> {
         self.draws[(owner >> 32) as usize].item.0
     }
 
-    /// Linear colour and alpha of a triangle at a pixel.
-    fn color(
-        &self,
-        latest: &mut Latest<'a>,
-        placements: &[Placement],
-        owner: u64,
-        [x, y]: [u32; 2],
-    ) -> [f32; 4] {
-        let pixel = self.pixel(x, y);
-        let [ndc_x, ndc_y] = pixel.center;
-        let ray = self.eye_from_clip.map(|[a, b, c]| a * ndc_x + b * ndc_y + c);
-        latest.of(owner, self, placements).color(self.textures, pixel, ray)
+    /// Direction in which a pixel's centre lies from the eye, of any length.
+    fn ray(&self, pixel: Pixel) -> [f64; 3] {
+        let [x, y] = pixel.center;
+        self.eye_from_clip.map(|[a, b, c]| a * x + b * y + c)
     }
 
     fn placements(&self) -> Vec<Placement> {

@@ -129,14 +129,32 @@ impl<'a> Surface<'a> {
     }
 
     /// Linear colour, lit, and alpha, seen along `ray` (eye-relative, any length).
-    pub(super) fn color(&self, textures: &Textures, pixel: Pixel, ray: [f64; 3]) -> [f32; 4] {
+    pub(super) fn color(
+        &self,
+        textures: &Textures,
+        sun: [f32; 3],
+        pixel: Pixel,
+        ray: [f64; 3],
+    ) -> [f32; 4] {
         match &self.look {
-            Look::Lit(lit) => lit.color(&self.edges, textures, pixel, ray),
+            Look::Lit(lit) => {
+                let light = light::intensity(lit.normal(&self.edges, pixel, ray), sun);
+                let [r, g, b, alpha] = lit.base(&self.edges, textures, pixel);
+                [r * light, g * light, b * light, alpha]
+            }
             Look::Projected(corners, patch) => {
                 let place = blend(corners, barycentric(self.edges.products(pixel.center)));
                 let [r, g, b] = patch.sample(textures, place);
                 [r, g, b, 1.0]
             }
+        }
+    }
+
+    /// Unit normal that faces the viewer along `ray`; zero where there is none.
+    pub(super) fn normal(&self, pixel: Pixel, ray: [f64; 3]) -> [f32; 3] {
+        match &self.look {
+            Look::Lit(lit) => lit.normal(&self.edges, pixel, ray),
+            Look::Projected(..) => [0.0; 3],
         }
     }
 }
@@ -191,16 +209,14 @@ impl Lit {
         std::array::from_fn(|k| color[k] * texture[k])
     }
 
-    /// Linear colour, lit, and alpha.
-    fn color(&self, edges: &Edges, textures: &Textures, pixel: Pixel, ray: [f64; 3]) -> [f32; 4] {
+    /// Unit normal that faces the viewer, zero where corners have none.
+    fn normal(&self, edges: &Edges, pixel: Pixel, ray: [f64; 3]) -> [f32; 3] {
         let weights = barycentric(edges.products(pixel.center));
         let mut normal = unit(blend(&self.normals, weights).map(f64::from));
         if dot(normal, ray) > 0.0 {
             normal = normal.map(|c| -c);
         }
-        let light = light::intensity(normal.map(|c| c as f32));
-        let [r, g, b, alpha] = self.base(edges, textures, pixel);
-        [r * light, g * light, b * light, alpha]
+        normal.map(|c| c as f32)
     }
 }
 

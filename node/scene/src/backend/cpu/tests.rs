@@ -1,9 +1,10 @@
-use super::super::{Draws, NO_ITEM, light};
+use super::super::{Draws, NO_ITEM, Shading, light, normal};
 use super::*;
 use protocol::format::vertex::Layout;
 use protocol::format::{Class, Vertex, projected};
 use protocol::id::HlodId;
 use protocol::settings::Cull;
+use protocol::sun::Sun;
 
 const SIZE: PictureSize = PictureSize { width: 20, height: 10 };
 
@@ -63,8 +64,13 @@ fn backend_with(size: PictureSize, sheets: &[(u32, u32, Vec<u8>)]) -> CpuBackend
 
 /// A whole pass of what is solid.
 fn shade(view: View, solid: Vec<Draw>, with_depth: bool) -> Pass {
+    shade_as(Shading::default(), view, solid, with_depth)
+}
+
+/// Likewise of other pixels than those under the default sun.
+fn shade_as(shading: Shading, view: View, solid: Vec<Draw>, with_depth: bool) -> Pass {
     let draws = Draws { solid, ..Draws::default() };
-    Pass::Shade { view, draws, with_depth, part: Part::WHOLE }
+    Pass::Shade { view, shading, draws, with_depth, part: Part::WHOLE }
 }
 
 /// A whole pass of what is solid.
@@ -94,6 +100,9 @@ fn nothing_drawn_is_sky() {
     let sky = SrgbEncoder::new().encode_rgba(light::SKY);
     assert!(picture.rgba.chunks(4).all(|pixel| pixel == sky));
     assert_eq!(picture.depth.unwrap(), vec![0.0; 200]);
+    let pass = shade_as(Shading::Normals, view, vec![], true);
+    let Completion::Picture { picture, .. } = run(&mut backend, pass) else { panic!() };
+    assert!(picture.rgba.chunks(4).all(|pixel| pixel == [128, 128, 128, 255]));
     let pass = items(view, vec![]);
     let Completion::Items { items, .. } = run(&mut backend, pass) else { panic!() };
     assert_eq!(items, vec![NO_ITEM; 200]);
@@ -112,6 +121,11 @@ fn a_sheet_is_lit_from_either_side() {
         let expected = SrgbEncoder::new().encode_rgba(lit);
         assert!(picture.rgba.chunks(4).all(|pixel| pixel == expected), "{:?}", &picture.rgba[..4]);
         assert!(picture.depth.unwrap().iter().all(|&z| (z - 0.05).abs() < 1e-7));
+        // A sun behind the viewer.
+        let shading = Shading::Lit { sun: [0.0, 0.0, -1.0] };
+        let pass = shade_as(shading, view(SIZE), vec![filling(0, 5, 3, 2.0, SIZE)], false);
+        let Completion::Picture { picture, .. } = run(&mut backend, pass) else { panic!() };
+        assert!(picture.rgba.chunks(4).all(|pixel| pixel == [255, 188, 0, 255]));
     }
 }
 
@@ -128,9 +142,15 @@ fn a_mirrored_or_stretched_placement_keeps_normals_upright() {
         let Completion::Picture { picture, .. } = run(&mut backend, pass) else { panic!() };
         let n = [0.0, 0.6 / stretch, -0.8];
         let length = (n[1] * n[1] + n[2] * n[2]).sqrt();
-        let light = light::intensity(n.map(|c| c / length));
+        let light = light::intensity(n.map(|c| c / length), Sun::default().unit());
         let expected = SrgbEncoder::new().encode_rgba([light; 3]);
         for (a, b) in picture.rgba[..4].iter().zip(&expected) {
+            assert!(a.abs_diff(*b) <= 1, "{:?} {expected:?}", &picture.rgba[..4]);
+        }
+        let pass = shade_as(Shading::Normals, view(SIZE), vec![draw], false);
+        let Completion::Picture { picture, .. } = run(&mut backend, pass) else { panic!() };
+        let expected = normal::encode(n.map(|c| c / length));
+        for (a, b) in picture.rgba[..3].iter().zip(&expected) {
             assert!(a.abs_diff(*b) <= 1, "{:?} {expected:?}", &picture.rgba[..4]);
         }
     }
@@ -222,6 +242,11 @@ fn a_face_is_its_picture_to_the_eye_that_took_it() {
             let expected = parts.pixel(at % SIDE, at / SIDE);
             assert!(rgba.iter().zip(&expected).all(|(a, b)| a.abs_diff(*b) <= 1), "{at}");
         }
+        let pass = shade_as(Shading::Normals, view(size), vec![seen_from([0.0; 3])], false);
+        let Completion::Picture { picture: normals, .. } = run(&mut backend, pass) else {
+            panic!()
+        };
+        assert!(normals.rgba.chunks(4).all(|pixel| pixel == [128, 128, 128, 255]));
         let [above, below] = disparities.map(|disparity| disparity as f32 * STEP * 0.1);
         for (at, z) in (0..).zip(picture.depth.unwrap()) {
             let share = (f32::from(at / SIDE as u16) + 0.5) / SIDE as f32;
