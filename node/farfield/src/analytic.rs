@@ -41,7 +41,7 @@ impl Scene {
 
     pub(crate) fn sample(&self, eye: DVec3, side: u32) -> Sample {
         let blank =
-            FacePicture { disparity: Vec::new(), color: vec![[0; 3]; (side * side) as usize] };
+            FacePicture { color: vec![[0; 3]; (side * side) as usize], ..Default::default() };
         let mut sample = Sample { eye, side, faces: std::array::from_fn(|_| blank.clone()) };
         for face in 0..6 {
             let seen = (0..side * side).map(|i| {

@@ -7,7 +7,7 @@ use protocol::camera::Camera;
 use protocol::id::BlobId;
 use protocol::settings::PictureSize;
 use scene::backend::{
-    Backend, BackendError, Completion, Draw, Draws, Part, Pass, Shading, Upload, View,
+    Backend, BackendError, Completion, Draw, Draws, Part, Pass, Picture, Shading, Upload, View,
     upload_textures_of,
 };
 use scene::draw_list::draw_list;
@@ -42,6 +42,7 @@ pub struct Studio<'a> {
     backend: Box<dyn Backend + 'a>,
     side: u32,
     near_plane: f32,
+    takes_normals: bool,
     residency: Residency,
     now: Stamp,
 }
@@ -58,13 +59,17 @@ impl<'a> Studio<'a> {
             return Err(CaptureError::Textures);
         }
         let residency = Residency::new(store.skeleton().blobs.len());
-        Ok(Self { store, backend, side, near_plane, residency, now: 0 })
+        Ok(Self { store, backend, side, near_plane, takes_normals: false, residency, now: 0 })
+    }
+
+    /// This one, whose samples hold normals ([`FacePicture::normal`]), which takes twice the time.
+    pub fn with_normals(self) -> Self {
+        Self { takes_normals: true, ..self }
     }
 
     /// What is seen from `eye` of all that is not `near`.
     pub fn sample(&mut self, eye: DVec3, near: &NearField) -> Result<Sample, CaptureError> {
-        let nothing = || FacePicture { disparity: Vec::new(), color: Vec::new() };
-        let mut faces: [FacePicture; 6] = std::array::from_fn(|_| nothing());
+        let mut faces: [FacePicture; 6] = Default::default();
         for (face, axes) in faces.iter_mut().zip(FACES) {
             *face = self.face(&self.camera(eye, &axes), near)?;
         }
@@ -99,16 +104,36 @@ impl<'a> Studio<'a> {
         let size = PictureSize { width: self.side, height: self.side };
         let front = front_of(skeleton, camera, size, LOD_PX, Field::Far(near));
         let draws = draw_list(skeleton, &front.entries, camera.eye);
-        self.now += 1;
         let view = View::new(camera, size);
-        let mut pending = Pending { draws: Draws::default(), opens: true };
-        for (list, blends) in [(draws.solid, false), (draws.blending, true)] {
+        let Picture { rgba, depth } = self.picture(view, Shading::default(), &draws)?;
+        let normal = match self.takes_normals {
+            true => {
+                let solid = Draws { blending: Vec::new(), ..draws };
+                rgb(&self.picture(view, Shading::Normals, &solid)?.rgba)
+            }
+            false => Vec::new(),
+        };
+        let depth = depth.expect("it was asked for");
+        let disparity = depth.iter().map(|d| d / self.near_plane).collect();
+        Ok(FacePicture { disparity, color: rgb(&rgba), normal })
+    }
+
+    /// Draws all of a list, in parts where it does not fit at once.
+    fn picture(
+        &mut self,
+        view: View,
+        shading: Shading,
+        draws: &Draws,
+    ) -> Result<Picture, CaptureError> {
+        self.now += 1;
+        let mut pending = Pending { view, shading, draws: Draws::default(), opens: true };
+        for (list, blends) in [(&draws.solid, false), (&draws.blending, true)] {
             for run in list.chunk_by(|a, b| a.blob == b.blob) {
-                self.hold(run[0].blob, view, &mut pending)?;
+                self.hold(run[0].blob, &mut pending)?;
                 pending.push(run, blends);
             }
         }
-        self.backend.submit(pending.pass(view, true))?;
+        self.backend.submit(pending.pass(true))?;
         let mut completions = Vec::new();
         while completions.is_empty() {
             self.backend.poll(&mut completions)?;
@@ -116,19 +141,12 @@ impl<'a> Studio<'a> {
         let Some(Completion::Picture { picture, .. }) = completions.pop() else {
             unreachable!("a picture answers as such")
         };
-        let depth = picture.depth.expect("it was asked for");
-        let color = picture.rgba.as_chunks::<4>().0.iter().map(|&[r, g, b, _]| [r, g, b]).collect();
-        Ok(FacePicture { disparity: depth.iter().map(|d| d / self.near_plane).collect(), color })
+        Ok(picture)
     }
 
     /// Makes sure that a blob is there: at the cost of those this face does not use, else by drawing what
     /// is pending and giving up what that used.
-    fn hold(
-        &mut self,
-        blob: BlobId,
-        view: View,
-        pending: &mut Pending,
-    ) -> Result<(), CaptureError> {
+    fn hold(&mut self, blob: BlobId, pending: &mut Pending) -> Result<(), CaptureError> {
         if self.residency.holds(blob) {
             self.residency.touch(blob, self.now);
             return Ok(());
@@ -140,7 +158,7 @@ impl<'a> Studio<'a> {
             let victim = match older {
                 Some(victim) => victim,
                 None => {
-                    self.backend.submit(pending.pass(view, false))?;
+                    self.backend.submit(pending.pass(false))?;
                     self.now += 1;
                     let drawn = self.residency.older_than(self.now).next();
                     drawn.ok_or(CaptureError::NoRoom(blob))?
@@ -156,6 +174,8 @@ impl<'a> Studio<'a> {
 
 /// Draws of a pass that have not been submitted.
 struct Pending {
+    view: View,
+    shading: Shading,
     draws: Draws,
     opens: bool,
 }
@@ -167,9 +187,16 @@ impl Pending {
     }
 
     /// The part of the pass that they are.
-    fn pass(&mut self, view: View, closes: bool) -> Pass {
+    fn pass(&mut self, closes: bool) -> Pass {
         let part = Part { opens: std::mem::take(&mut self.opens), closes };
-        let (shading, draws) = (Shading::default(), std::mem::take(&mut self.draws));
+        let (view, shading, draws) = (self.view, self.shading, std::mem::take(&mut self.draws));
         Pass::Shade { view, shading, draws, with_depth: closes, part }
     }
 }
+
+fn rgb(rgba: &[u8]) -> Vec<[u8; 3]> {
+    rgba.as_chunks::<4>().0.iter().map(|&[r, g, b, _]| [r, g, b]).collect()
+}
+
+#[cfg(test)]
+mod tests;

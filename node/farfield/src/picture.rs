@@ -103,6 +103,7 @@ mod tests {
         FacePicture {
             disparity: vec![0.5; (side * side) as usize],
             color: at.map(|(x, y)| color(x, y)).collect(),
+            ..Default::default()
         }
     }
 

@@ -124,8 +124,7 @@ mod tests {
 
     /// The inside of an axis-aligned box from a place in it; `behind` is where a wall at `x = 2` is open.
     fn room(eye: DVec3, side: u32, wall_until_y: f64) -> Sample {
-        let empty = FacePicture { disparity: vec![], color: vec![] };
-        let mut sample = Sample { eye, side, faces: std::array::from_fn(|_| empty.clone()) };
+        let mut sample = Sample { eye, side, faces: Default::default() };
         for face in 0..6 {
             let (disparity, color) = (0..side * side)
                 .map(|at| {
@@ -148,7 +147,7 @@ mod tests {
                     ((1.0 / t) as f32, [0; 3])
                 })
                 .unzip();
-            sample.faces[face] = FacePicture { disparity, color };
+            sample.faces[face] = FacePicture { disparity, color, ..Default::default() };
         }
         sample
     }

@@ -5,12 +5,15 @@ pub use protocol::format::projected::{FACES, FaceAxes};
 
 /// What one face of the cube shows: `side * side` pixels, top row first. A pixel's centre lies at half
 /// coordinates; [`protocol::format::projected`] says where in space that is.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, Default, PartialEq)]
 pub struct FacePicture {
     /// Reciprocal view depth along the face's axis, 1 over scene units; 0 where nothing is seen.
     pub disparity: Vec<f32>,
     /// Colour as it was shaded, sRGB-encoded; of no meaning where nothing is seen.
     pub color: Vec<[u8; 3]>,
+    /// Code ([`scene::backend::normal`]) of the unit normal that faces the viewpoint; empty where normals were
+    /// not asked for.
+    pub normal: Vec<[u8; 3]>,
 }
 
 /// A sample: what is seen from a viewpoint in all directions.
@@ -73,7 +76,8 @@ mod tests {
 
     #[test]
     fn every_direction_is_met_once_and_leads_back() {
-        let picture = FacePicture { disparity: vec![0.0; 64], color: vec![[0; 3]; 64] };
+        let picture =
+            FacePicture { disparity: vec![0.0; 64], color: vec![[0; 3]; 64], ..Default::default() };
         let faces = std::array::from_fn(|_| picture.clone());
         let sample = Sample { eye: DVec3::new(1.0, 2.0, 3.0), side: 8, faces };
         assert_eq!(sample.project(DVec3::ZERO), None);
@@ -90,7 +94,8 @@ mod tests {
 
     #[test]
     fn a_pixel_lies_on_its_ray_at_its_depth() {
-        let mut picture = FacePicture { disparity: vec![0.0; 64], color: vec![[0; 3]; 64] };
+        let mut picture =
+            FacePicture { disparity: vec![0.0; 64], color: vec![[0; 3]; 64], ..Default::default() };
         picture.disparity[3 * 8 + 5] = 0.25;
         let faces = std::array::from_fn(|_| picture.clone());
         let sample = Sample { eye: DVec3::new(1.0, 2.0, 3.0), side: 8, faces };

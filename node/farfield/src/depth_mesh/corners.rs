@@ -50,7 +50,8 @@ mod tests {
 
     #[test]
     fn all_of_them_touch_the_corner_and_every_face_tells_the_same() {
-        let picture = FacePicture { disparity: vec![0.0; 64], color: vec![[0; 3]; 64] };
+        let picture =
+            FacePicture { disparity: vec![0.0; 64], color: vec![[0; 3]; 64], ..Default::default() };
         let faces = std::array::from_fn(|_| picture.clone());
         let sample = Sample { eye: DVec3::ZERO, side: 8, faces };
         for face in 0..6 {

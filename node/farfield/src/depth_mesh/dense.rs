@@ -102,9 +102,7 @@ mod tests {
 
     /// What is seen of planes `normal . p = 1` around the origin, the nearest of them; sky elsewhere.
     fn planes(side: u32, planes: &[DVec3]) -> Sample {
-        let empty = FacePicture { disparity: vec![], color: vec![] };
-        let mut sample =
-            Sample { eye: DVec3::ZERO, side, faces: std::array::from_fn(|_| empty.clone()) };
+        let mut sample = Sample { eye: DVec3::ZERO, side, faces: Default::default() };
         for face in 0..6 {
             let pixels = (0..side * side).map(|at| {
                 let ray = sample.ray(face, f64::from(at % side) + 0.5, f64::from(at / side) + 0.5);
@@ -112,7 +110,7 @@ mod tests {
                 (disparity as f32, [0; 3])
             });
             let (disparity, color) = pixels.unzip();
-            sample.faces[face] = FacePicture { disparity, color };
+            sample.faces[face] = FacePicture { disparity, color, ..Default::default() };
         }
         sample
     }
