@@ -38,7 +38,8 @@ pub fn patches(mesh: &mut FaceMesh, side: u32) -> Vec<(Range<usize>, Window)> {
         corners(triangle).iter().map(|corner| corner[axis]).sum()
     };
     let mut found = Vec::new();
-    let mut open: Vec<Range<usize>> = std::iter::once(0..mesh.triangles.len()).collect();
+    let all = 0..mesh.triangles.len();
+    let mut open: Vec<Range<usize>> = Some(all).filter(|all| !all.is_empty()).into_iter().collect();
     while let Some(range) = open.pop() {
         let triangles = &mut mesh.triangles[range.clone()];
         if triangles.len() <= PATCH_TRIANGLES {
