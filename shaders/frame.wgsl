@@ -5,6 +5,8 @@ struct Frame {
     clip_from_eye: mat4x4<f32>,
     sun: vec3<f32>,
     ambient: f32,
+    // The sun that pictures of scan cubes show.
+    baked_sun: vec3<f32>,
     diffuse: f32,
 }
 

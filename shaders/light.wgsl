@@ -1,8 +1,11 @@
 // Common to the passes that shade: normals, and one sun with ambient light, both sides alike.
 
-// Octahedral decoding (Cigolle et al. 2014, section 3.1), not normalised.
 fn octahedral_normal(bits: u32) -> vec3<f32> {
-    let pair = unpack2x16snorm(bits);
+    return from_octahedral(unpack2x16snorm(bits));
+}
+
+// Octahedral decoding (Cigolle et al. 2014, section 3.1), not normalised.
+fn from_octahedral(pair: vec2<f32>) -> vec3<f32> {
     let z = 1.0 - abs(pair.x) - abs(pair.y);
     let fold = max(-z, 0.0);
     return vec3<f32>(pair + select(vec2<f32>(fold), vec2<f32>(-fold), pair >= vec2<f32>(0.0)), z);
@@ -31,9 +34,13 @@ fn facing(interpolated_normal: vec3<f32>, position: vec3<f32>) -> vec3<f32> {
     return select(normal, -normal, dot(normal, position) > 0.0);
 }
 
+// Light on a surface with a unit normal that faces the viewer.
+fn intensity(normal: vec3<f32>, sun: vec3<f32>) -> f32 {
+    return frame.ambient + frame.diffuse * max(dot(normal, sun), 0.0);
+}
+
 fn light(interpolated_normal: vec3<f32>, position: vec3<f32>) -> f32 {
-    let normal = facing(interpolated_normal, position);
-    return frame.ambient + frame.diffuse * max(dot(normal, frame.sun), 0.0);
+    return intensity(facing(interpolated_normal, position), frame.sun);
 }
 
 // A normal as a pixel of 8 bits an axis, 0 halfway. Halves are rounded up here, for drivers differ there.

@@ -15,10 +15,11 @@ struct Instance {
     @location(6) offset: vec3<f32>,
     @location(7) item: u32,
     // Of projected blobs alone: what a unit of z adds to the disparity, and the picture, its first word in
-    // the buffer and its side in pixels.
+    // the buffer, its side in pixels and the first word of its normals, 0 where it has none.
     @location(8) disparity_step: f32,
     @location(9) picture: u32,
     @location(10) side: u32,
+    @location(11) normals: u32,
 }
 
 // Three 21-bit integers out of 63 bits; exact in f32.

@@ -6,9 +6,9 @@
 
 // A vertex of a textured mesh goes on with this.
 struct Texturing {
-    @location(11) tex_coord: vec2<f32>,
-    @location(12) texture_index: u32,
-    @location(13) cutoff: f32,
+    @location(12) tex_coord: vec2<f32>,
+    @location(13) texture_index: u32,
+    @location(14) cutoff: f32,
 }
 
 // A texture.

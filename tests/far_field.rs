@@ -199,6 +199,52 @@ fn every_rig_draws_the_same_depth_mesh() {
 }
 
 #[test]
+fn cubes_with_normals_follow_the_sun_on_every_rig() {
+    let mut place = Place::new();
+    let [bare, relit] = ["bare.occ", "relit.occ"].map(|name| place.scene.file(name));
+    let side = ["--far-side", "128"];
+    succeed(&place.bake(&place.plain, &bare, "itdm", &side));
+    succeed(&place.bake(&place.plain, &relit, "itdm", &[&side[..], &["--far-relight"]].concat()));
+    succeed(&["verify", text(&relit)]);
+    let faces = |occ: &Path| number(&inspect(occ), "/bytes/faces");
+    let (without, with) = (faces(&bare), faces(&relit));
+    eprintln!("{without} bytes of faces without normals, {with} with");
+    assert!(with > without && with < 2 * without, "{without} {with}");
+
+    place.scene.occ = relit;
+    let moved = ["--sun", "-0.8,0.5,0.2"];
+    for backend in backends() {
+        let of = |occ: &Path, name: &str, options: &[&str]| {
+            let mut all = vec!["--backend", backend, "--pictures", "png"];
+            all.extend(options);
+            place.replay_of(occ, &format!("{backend}-{name}"), &all)
+        };
+        let far = ["--far", "itdm"];
+        let stored = of(&bare, "bare", &far);
+        let same = of(&place.scene.occ, "same", &far);
+        assert_eq!(same.hashes(), stored.hashes(), "{backend}: normals show under the bake's sun");
+
+        let far = [&moved[..], &far].concat();
+        let three = of(&place.scene.occ, "three", &[&far[..], &["--audit", "every=1"]].concat());
+        three.assert_audited(backend);
+        let one = ["--schedule", "rotate", "--processes", "1", "--cull", "boxes"];
+        let one = of(&place.scene.occ, "one", &[&far[..], &one].concat());
+        assert_eq!(one.hashes(), three.hashes(), "{backend}");
+
+        let geometry = ["--far", "off", "--lod", "0", "--processes", "1"];
+        let truth = of(&place.plain, "truth", &geometry);
+        let moved_truth = of(&place.plain, "moved", &[&moved[..], &geometry].concat());
+        let [as_baked, relit, stale] =
+            [(&stored, &truth), (&three, &moved_truth), (&stored, &moved_truth)]
+                .map(|(found, truth)| difference(found, truth));
+        eprintln!(
+            "{backend}: square error {as_baked:.1} as baked, {relit:.1} relit, {stale:.1} stale"
+        );
+        assert!(relit < 1.2 * as_baked + 2.0 && stale > 2.0 * relit, "{as_baked} {relit} {stale}");
+    }
+}
+
+#[test]
 fn more_cubes_cost_more_and_are_not_worse_and_budgets_are_kept() {
     let place = Place::with("itdm", "128");
     let of = |name: &str, options: &[&str]| {

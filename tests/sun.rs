@@ -82,12 +82,20 @@ fn a_far_field_under_another_sun_is_refused_before_anything_is_drawn() {
     let mut bake = vec!["bake", text(&place.scene.occ), "-o", text(&occ), "--far", "tdm"];
     bake.extend(["--far-always", "--far-side", "64", "--cells-along", text(&place.walk)]);
     succeed(&bake);
+    let relit = place.scene.file("relit.occ");
+    bake[3] = text(&relit);
+    succeed(&[&bake[..], &["--far-relight"]].concat());
     let out = place.scene.file("out");
     let mut replay = vec!["replay", text(&occ), "--path", text(&place.walk), "--size", "64x48"];
     replay.extend(["--backend", "cpu", "--out", text(&out)]);
     let with = |options: &[&'static str]| [&replay[..], options].concat();
     let moved = ["--sun", "0,1,0"];
-    fail(&with(&[&moved[..], &["--far", "tdm"]].concat()), 78, "--far off");
+    let far = [&moved[..], &["--far", "tdm"]].concat();
+    fail(&with(&far), 78, "`bake --far-relight`");
+    // With normals any sun will do.
+    let mut of_relit = with(&far);
+    of_relit[1] = text(&relit);
+    succeed(&of_relit);
     // Its light is not asked for, or is the sun's own.
     succeed(&with(&[&moved[..], &["--far", "off"]].concat()));
     succeed(&with(&[&moved[..], &["--far", "itdm"]].concat()));

@@ -13,7 +13,7 @@ use protocol::id::BlobId;
 use protocol::message::FailureKind;
 use protocol::settings::{Far, Residency as Promise, RunSettings};
 use protocol::sun::Sun;
-use scene::backend::{Backend, Upload, upload_textures_of};
+use scene::backend::{Backend, Upload, light, upload_textures_of};
 use scene::front::FrontEntry;
 use scene::near_field::Cells;
 use scene::prefetch::Forecaster;
@@ -120,19 +120,25 @@ pub fn check_memory(
     budget::share_out(memory, skeleton, &drawable, &always(skeleton, promise)).map(drop)
 }
 
-/// The far fields of a scene hold the light of another sun (exit code 78).
+/// The far fields of a scene hold the light of another sun, and no normals to be lit again by (exit code 78).
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "the far fields of this scene hold the light of the default sun: leave out --sun, or draw all as \
-     geometry with --far off"
+    "the far fields of this scene hold the light of the default sun and no normals: leave out --sun, draw all \
+     as geometry with --far off, or bake them again with `bake --far-relight`"
 )]
 pub struct OtherSun;
 
-/// Whether what is drawn of what is far has the light of `sun`.
+/// Whether what is drawn of what is far can have the light of `sun`.
 pub fn check_sun(sun: Sun, skeleton: &Skeleton, far: Far) -> Result<(), OtherSun> {
-    let method = method(far).map(|method| method.number() as u32);
-    let is_lit = skeleton.view_cells.iter().any(|cell| Some(cell.method) == method);
-    if is_lit && sun.unit() != Sun::default().unit() { Err(OtherSun) } else { Ok(()) }
+    let keeps_its_light = |blob: BlobId| {
+        let blob = skeleton.blob(blob);
+        blob.is_projected() && !blob.has_normals()
+    };
+    let is_moved = sun.unit() != light::baked_sun();
+    if is_moved && drawable(skeleton, far).into_iter().any(keeps_its_light) {
+        return Err(OtherSun);
+    }
+    Ok(())
 }
 
 /// What stays from the start: in `deadline` something must always be there to stand in.

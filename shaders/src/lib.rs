@@ -42,8 +42,8 @@ pub const SHADE_MASK: &str = source!(
 pub const ITEMS_MASK: &str = source!("frame.wgsl", "mesh.wgsl", "texture.wgsl", "items_mask.wgsl");
 /// Item ids: entry points `vertex_main`, `fragment_main`.
 pub const ITEMS: &str = source!("frame.wgsl", "mesh.wgsl", "items.wgsl");
-/// Projected blobs in all passes: entry points `vertex_main`; `fragment_main` for colours, which alone
-/// reads the blob, `fragment_normal`, `fragment_items`, and `fragment_guard` for drivers to be guarded.
+/// Projected blobs in all passes: entry points `vertex_main`; `fragment_main` for colours as they are stored;
+/// `vertex_relit` and `fragment_relit` for colours under another sun, of a blob with normals; `fragment_normal`, `fragment_items`, and `fragment_guard` for drivers to be guarded.
 pub const PROJECTED: &str = source!("frame.wgsl", "mesh.wgsl", "light.wgsl", "projected.wgsl");
 /// Boxes as occlusion queries, entry point `query_vertex`: depth alone, a list of
 /// [`BOX_VERTICES`] vertices an instance.

@@ -62,18 +62,19 @@ pub struct Frame {
     pub sun: [f32; 3],
     /// Light from everywhere.
     pub ambient: f32,
+    /// Unit vector towards the sun that pictures of scan cubes show, scene axes.
+    pub baked_sun: [f32; 3],
     /// Light of the sun on a surface that faces it.
     pub diffuse: f32,
-    /// Fills up to the 16-byte alignment of a uniform struct.
-    pub padding: [f32; 3],
 }
 
 impl Frame {
-    /// Layout, padding left out.
+    /// Layout.
     pub const FIELDS: &[Field] = fields!(Frame {
         clip_from_eye: Matrix4,
         sun: Float32x3,
         ambient: Float32,
+        baked_sun: Float32x3,
         diffuse: Float32,
     });
 }
@@ -112,7 +113,7 @@ pub struct Texturing {
 
 impl Texturing {
     /// Location of the first field; the others follow.
-    pub const FIRST_LOCATION: u32 = 11;
+    pub const FIRST_LOCATION: u32 = 12;
     /// Layout.
     pub const FIELDS: &[Field] =
         fields!(Texturing { tex_coord: Float32x2, texture_index: Uint32, cutoff: Float32 });
@@ -157,12 +158,14 @@ pub struct Instance {
     pub offset: [f32; 3],
     /// What the item buffer stores.
     pub item: u32,
-    /// Disparity of one grid step along z of a projected blob, 0 of others like the two that follow.
+    /// Disparity of one grid step along z of a projected blob, 0 of others like the three that follow.
     pub disparity_step: f32,
     /// First word of its picture in the buffer.
     pub picture: u32,
     /// Pixels along a side of its picture.
     pub side: u32,
+    /// First word of its normals in the buffer, 0 where it has none.
+    pub normals: u32,
 }
 
 impl Instance {
@@ -178,6 +181,7 @@ impl Instance {
         disparity_step: Float32,
         picture: Uint32,
         side: Uint32,
+        normals: Uint32,
     });
 }
 

@@ -35,7 +35,15 @@ const SOURCES: [(&str, &str, &[&str]); 9] = [
     (
         "PROJECTED",
         shaders::PROJECTED,
-        &["vertex_main", "fragment_main", "fragment_normal", "fragment_items", "fragment_guard"],
+        &[
+            "vertex_main",
+            "vertex_relit",
+            "fragment_main",
+            "fragment_relit",
+            "fragment_normal",
+            "fragment_items",
+            "fragment_guard",
+        ],
     ),
     ("BOX_QUERY", shaders::BOX_QUERY, &["query_vertex"]),
     ("BOX_MARK", shaders::BOX_MARK, &["mark_vertex", "mark_fragment"]),

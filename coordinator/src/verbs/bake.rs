@@ -65,6 +65,9 @@ pub(crate) struct Args {
     /// Keep what is redundant: every cube is whole
     #[arg(long)]
     far_all_intra: bool,
+    /// Store normals, so that cubes can be drawn under another sun (replay --sun): twice the bytes of pictures
+    #[arg(long)]
+    far_relight: bool,
     /// Most triangles of the source in a view cell before it is divided
     #[arg(long, value_name = "N", default_value_t = ::bake::far::DEFAULT_CELL_TRIANGLES)]
     far_cell_triangles: u64,
@@ -122,7 +125,7 @@ fn add_far(args: &Args, options: &Options, baked: &Path) -> Result<FarSummary, F
     let mut settings = Settings::new(args.far, viewpoints);
     (settings.side, settings.in_space) = (args.far_side, args.far_in_space);
     (settings.samples, settings.epsilon_sr) = (args.far_samples, args.far_epsilon);
-    settings.always = args.far_always;
+    (settings.always, settings.relight) = (args.far_always, args.far_relight);
     (settings.all_intra, settings.search_side) = (args.far_all_intra, args.far_side.min(128));
     settings.division.most_triangles = args.far_cell_triangles;
     let mut make = |side: u32| {

@@ -53,6 +53,8 @@ pub struct Settings {
     pub always: bool,
     /// Every cube is whole: what the removal of redundant points is measured against.
     pub all_intra: bool,
+    /// Cubes hold normals, so that they can be drawn under another sun.
+    pub relight: bool,
 }
 
 impl Settings {
@@ -70,6 +72,7 @@ impl Settings {
             tolerance_px: 0.5,
             always: false,
             all_intra: false,
+            relight: false,
         }
     }
 
@@ -205,7 +208,8 @@ pub fn add_far(
         Ok(Studio::new(&store, backend, side, near)?)
     };
     let mut search = studio(settings.search_side)?;
-    let mut fine = studio(settings.side)?;
+    let fine = studio(settings.side)?;
+    let mut fine = if settings.relight { fine.with_normals() } else { fine };
     let mut file = FarFile::begin(&store, output)?;
     let mut summary = FarSummary::default();
     progress.stage("cells", cells.len() as u64);
@@ -405,6 +409,7 @@ impl<'a> FarFile<'a> {
                 indices: &indices,
                 table: &picture.table,
                 tiles: picture.tiles.as_chunks().0,
+                normals: picture.normals.as_ref().map(|normals| normals.as_chunks().0),
             })?;
             bytes += self.writer.blob(blob).bytes;
         }

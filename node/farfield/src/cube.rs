@@ -3,10 +3,11 @@
 use crate::depth_mesh::dense::dense_mesh;
 use crate::depth_mesh::simplify::{FaceMesh, Purpose, simplified};
 use crate::neighbours::Pixel;
+use crate::normals::FaceNormals;
 use crate::patches::{BakedPatch, patches};
 use crate::picture::stored_picture;
 use crate::redundancy::Surviving;
-use crate::sample::Sample;
+use crate::sample::{FACES, Sample};
 use glam::DVec3;
 use rayon::prelude::*;
 
@@ -71,10 +72,12 @@ pub fn faces(
             }
             let purpose = Purpose { side: sample.side, reach, tolerance_px };
             let mut mesh = simplified(&dense, &purpose);
-            let cut = patches(&mut mesh, sample.side).into_iter().map(|(triangles, window)| {
+            let (picture, side) = (&sample.faces[face], sample.side);
+            let normals = FaceNormals::of(picture, side, &FACES[face]);
+            let cut = patches(&mut mesh, side).into_iter().map(|(triangles, window)| {
                 let shown = &mesh.triangles[triangles.clone()];
-                let picture = &sample.faces[face];
-                let picture = stored_picture(picture, sample.side, &mesh, shown, window);
+                let normals = normals.as_ref();
+                let picture = stored_picture(picture, normals, side, &mesh, shown, window);
                 BakedPatch { triangles, window, picture }
             });
             let patches = cut.collect();

@@ -12,6 +12,7 @@ pub mod field;
 pub mod itdm;
 pub mod method;
 pub mod neighbours;
+pub mod normals;
 pub mod objective;
 pub mod patches;
 pub mod picture;

@@ -1,6 +1,7 @@
 //! The picture of a face as it is stored: the tiles that a mesh shows, in BC1.
 
 use crate::depth_mesh::simplify::FaceMesh;
+use crate::normals::FaceNormals;
 use crate::patches::Window;
 use crate::sample::FacePicture;
 use protocol::format::projected::{SUBPIXELS, TILE, TILE_BYTES};
@@ -13,12 +14,15 @@ pub struct StoredPicture {
     pub table: Vec<u32>,
     /// The stored tiles.
     pub tiles: Vec<u8>,
+    /// As many bytes of normals, if the face has any.
+    pub normals: Option<Vec<u8>>,
 }
 
 /// Stores the tiles of a window that triangles of `mesh` reach into. Pixels without a colour of their own take the
 /// one of a neighbour that has, so that a filter over the edge of what is shown finds nothing dark.
 pub fn stored_picture(
     picture: &FacePicture,
+    normals: Option<&FaceNormals>,
     side: u32,
     mesh: &FaceMesh,
     triangles: &[[u32; 3]],
@@ -43,10 +47,17 @@ pub fn stored_picture(
             }
         }
     }
-    let mut stored = StoredPicture { table: vec![0; is_shown.len()], tiles: Vec::new() };
+    let mut stored = StoredPicture {
+        table: vec![0; is_shown.len()],
+        tiles: Vec::new(),
+        normals: normals.map(|_| Vec::new()),
+    };
     for (at, _) in is_shown.iter().enumerate().filter(|(_, shown)| **shown) {
         let tile_at = [left + at as u32 % across, top + at as u32 / across];
         stored.tiles.extend(tile(picture, side, tile_at));
+        if let Some((stored, normals)) = stored.normals.as_mut().zip(normals) {
+            stored.extend(normals.tile(tile_at));
+        }
         stored.table[at] = (stored.tiles.len() / TILE_BYTES) as u32;
     }
     stored
@@ -68,6 +79,17 @@ fn meets(corners: [[u32; 3]; 3], tile: [u32; 2]) -> bool {
     })
 }
 
+/// What a pixel of a face of `side` pixels has, or the first of its neighbours that has any.
+pub(crate) fn own_or_beside<T>(
+    side: u32,
+    (x, y): (u32, u32),
+    of: impl Fn(u32, u32) -> Option<T>,
+) -> Option<T> {
+    let near = |at: u32| at.saturating_sub(1)..(at + 2).min(side);
+    let beside = || near(y).flat_map(|y| near(x).map(move |x| (x, y))).find_map(|(x, y)| of(x, y));
+    of(x, y).or_else(beside)
+}
+
 /// One tile, 16 blocks row by row.
 fn tile(picture: &FacePicture, side: u32, [column, row]: [u32; 2]) -> Vec<u8> {
     let colored = |x: u32, y: u32| {
@@ -77,11 +99,7 @@ fn tile(picture: &FacePicture, side: u32, [column, row]: [u32; 2]) -> Vec<u8> {
     let mut rgba = Vec::with_capacity((TILE * TILE * 4) as usize);
     for y in row * TILE..(row + 1) * TILE {
         for x in column * TILE..(column + 1) * TILE {
-            let beside = || {
-                let near = |at: u32| at.saturating_sub(1)..(at + 2).min(side);
-                near(y).flat_map(|y| near(x).map(move |x| (x, y))).find_map(|(x, y)| colored(x, y))
-            };
-            let [r, g, b] = colored(x, y).or_else(beside).unwrap_or_default();
+            let [r, g, b] = own_or_beside(side, (x, y), colored).unwrap_or_default();
             rgba.extend([r, g, b, 255]);
         }
     }
@@ -95,8 +113,10 @@ fn tile(picture: &FacePicture, side: u32, [column, row]: [u32; 2]) -> Vec<u8> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::sample::FACES;
     use protocol::format::projected::Patch;
     use rand::{Rng, SeedableRng, rngs::StdRng};
+    use scene::backend::normal;
 
     fn picture(side: u32, color: impl Fn(u32, u32) -> [u8; 3]) -> FacePicture {
         let at = (0..side * side).map(|at| (at % side, at / side));
@@ -115,7 +135,17 @@ mod tests {
     /// Of a whole face in one window.
     fn stored(picture: &FacePicture, side: u32, mesh: &FaceMesh) -> StoredPicture {
         let window = Window { at: [0; 2], across: side / TILE };
-        stored_picture(picture, side, mesh, &mesh.triangles, window)
+        stored_picture(picture, None, side, mesh, &mesh.triangles, window)
+    }
+
+    /// The bytes of its table.
+    fn table_of(stored: &StoredPicture) -> Vec<u8> {
+        stored.table.iter().flat_map(|entry| entry.to_le_bytes()).collect()
+    }
+
+    fn patch<'a>(side: u32, table: &'a [u8], stored: &'a StoredPicture) -> Patch<'a> {
+        let StoredPicture { tiles, normals, .. } = stored;
+        Patch { side, vertices: &[], indices: &[], table, tiles, normals: normals.as_deref() }
     }
 
     #[test]
@@ -124,7 +154,7 @@ mod tests {
         let picture = picture(64, |x, y| [x as u8, y as u8, 7]);
         let whole = stored(&picture, 64, &mesh);
         let window = Window { at: [1, 2], across: 2 };
-        let part = stored_picture(&picture, 64, &mesh, &mesh.triangles, window);
+        let part = stored_picture(&picture, None, 64, &mesh, &mesh.triangles, window);
         let tile = |of: &StoredPicture, at: usize| {
             let place = of.table[at].checked_sub(1).map(|place| place as usize * TILE_BYTES);
             place.map(|at| of.tiles[at..at + TILE_BYTES].to_vec())
@@ -139,7 +169,31 @@ mod tests {
     #[test]
     fn a_face_without_triangles_stores_no_tile() {
         let stored = stored(&picture(32, |_, _| [9; 3]), 32, &FaceMesh::default());
-        assert_eq!(stored, StoredPicture { table: vec![0; 4], tiles: vec![] });
+        assert_eq!(stored, StoredPicture { table: vec![0; 4], tiles: vec![], normals: None });
+    }
+
+    #[test]
+    fn normals_lie_beside_the_colours_of_the_same_tiles() {
+        // Left half right, right half straight at the viewpoint, of the face that looks along +x.
+        let mut picture = picture(64, |x, _| [x as u8; 3]);
+        picture.normal = (0..64 * 64)
+            .map(|at| normal::encode([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0]][at % 64 / 32]))
+            .collect();
+        let normals = FaceNormals::of(&picture, 64, &FACES[0]);
+        let mesh = triangle([[0, 0], [0, 64], [64, 64]]);
+        let window = Window { at: [1, 0], across: 3 };
+        let bare = stored_picture(&picture, None, 64, &mesh, &mesh.triangles, window);
+        let full = stored_picture(&picture, normals.as_ref(), 64, &mesh, &mesh.triangles, window);
+        assert_eq!((&bare.table, &bare.tiles), (&full.table, &full.tiles));
+        assert_eq!(full.normals.as_ref().map(Vec::len), Some(full.tiles.len()));
+        let table = table_of(&full);
+        let face = patch(48, &table, &full);
+        assert!(face.normal(47, 0).is_none() && face.pixel(47, 0) == [0; 3], "no such tile");
+        for x in 0..48 {
+            let expected = if x < 16 { [1.0, 0.0, 0.0] } else { [0.0, 0.0, 1.0] };
+            let found = face.normal(x, 47).unwrap();
+            assert!((0..3).all(|k| (found[k] - expected[k]).abs() < 0.02), "{x}: {found:?}");
+        }
     }
 
     #[test]
@@ -169,14 +223,8 @@ mod tests {
                 [60 + 2 * x as u8 + n, 100 + y as u8 + n, 90 + n]
             });
             let stored = stored(&truth, 64, &mesh);
-            let table: Vec<u8> = stored.table.iter().flat_map(|t| t.to_le_bytes()).collect();
-            let face = Patch {
-                side: 64,
-                vertices: &[],
-                indices: &[],
-                table: &table,
-                tiles: &stored.tiles,
-            };
+            let table = table_of(&stored);
+            let face = patch(64, &table, &stored);
             for (x, y) in (0..64).flat_map(|x| (x..64).map(move |y| (x, y))) {
                 let (found, truth) = (face.pixel(x, y), truth.color[(y * 64 + x) as usize]);
                 let off = (0..3).map(|k| found[k].abs_diff(truth[k])).max().unwrap();
@@ -192,14 +240,8 @@ mod tests {
         for _ in 0..500 {
             let color: [u8; 3] = std::array::from_fn(|_| rng.random());
             let stored = stored(&picture(16, |_, _| color), 16, &mesh);
-            let table: Vec<u8> = stored.table.iter().flat_map(|t| t.to_le_bytes()).collect();
-            let face = Patch {
-                side: 16,
-                vertices: &[],
-                indices: &[],
-                table: &table,
-                tiles: &stored.tiles,
-            };
+            let table = table_of(&stored);
+            let face = patch(16, &table, &stored);
             let found = face.pixel(7, 9);
             assert!((0..3).all(|k| found[k].abs_diff(color[k]) <= 4), "{found:?} {color:?}");
         }
@@ -214,9 +256,8 @@ mod tests {
             }
         }
         let stored = stored(&half, 32, &triangle([[0, 0], [0, 32], [10, 32]]));
-        let table: Vec<u8> = stored.table.iter().flat_map(|t| t.to_le_bytes()).collect();
-        let face =
-            Patch { side: 32, vertices: &[], indices: &[], table: &table, tiles: &stored.tiles };
+        let table = table_of(&stored);
+        let face = patch(32, &table, &stored);
         assert!((0..32).all(|y| face.pixel(10, y)[1] > 190), "{:?}", face.pixel(10, 3));
     }
 }

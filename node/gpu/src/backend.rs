@@ -109,8 +109,8 @@ impl WgpuBackend {
             clip_from_eye: view.clip_from_eye,
             sun,
             ambient: light::AMBIENT,
+            baked_sun: light::baked_sun(),
             diffuse: light::SUN,
-            padding: [0.0; 3],
         };
         self.device.queue.write_buffer(&self.pipelines.frame, 0, bytemuck::bytes_of(&frame));
         Ok(())
@@ -152,7 +152,7 @@ impl WgpuBackend {
         let mut calls = plan.solid(into);
         let (color, depth) = match into {
             Into::Depth => (None, &targets.occlusion),
-            Into::Picture => {
+            Into::Picture | Into::Relit => {
                 (Some((targets.color(device), started(part.opens, sky))), targets.depth(device))
             }
             Into::Normals => {
@@ -167,7 +167,7 @@ impl WgpuBackend {
         let blending = plan.blending(into);
         let blended_before = self.blends && !part.opens;
         self.blends = blended_before || !blending.is_empty();
-        if into == Into::Picture {
+        if matches!(into, Into::Picture | Into::Relit) {
             calls.extend(blending);
             recorder.pass(&mut encoder, color, written_depth(depth, load), &calls);
         } else {
@@ -224,8 +224,9 @@ impl WgpuBackend {
     fn drawn(&mut self, pass: &Pass) -> Option<Submitted> {
         let (into, lists, part) = match pass {
             Pass::Occluders { draws, part, .. } => (Into::Depth, [&draws[..], &[]], *part),
-            Pass::Shade { shading: Shading::Lit { .. }, draws, part, .. } => {
-                (Into::Picture, [&draws.solid[..], &draws.blending], *part)
+            Pass::Shade { shading: Shading::Lit { sun }, draws, part, .. } => {
+                let into = if *sun == light::baked_sun() { Into::Picture } else { Into::Relit };
+                (into, [&draws.solid[..], &draws.blending], *part)
             }
             Pass::Shade { shading: Shading::Normals, draws, part, .. } => {
                 (Into::Normals, [&draws.solid[..], &[]], *part)

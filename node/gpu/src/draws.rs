@@ -66,8 +66,9 @@ impl Plan {
             offset: draw.offset,
             item: draw.item.0,
             disparity_step: draw.disparity_step,
-            picture: place.picture[0],
-            side: place.picture[1],
+            picture: place.picture.start,
+            side: place.picture.side,
+            normals: place.picture.normals,
         });
         Run { place, mirrored: draw.is_mirrored(), instances: at..at + 1 }
     }
@@ -144,6 +145,7 @@ pub(crate) fn record<'a>(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::geometry_memory::Picture;
     use protocol::format::vertex::Layout;
     use protocol::id::{BlobId, HlodId};
 
@@ -173,7 +175,7 @@ mod tests {
             first_index: 100,
             classes: if draw.blob.0 < 5 { [0, 1, 0, 0, 0, 0] } else { [1, 2, 1, 2, 1, 2] },
             layout: if draw.blob.0 < 5 { Layout::Plain } else { Layout::Textured },
-            picture: [0; 2],
+            picture: Picture::default(),
         })
     }
 

@@ -42,8 +42,19 @@ pub(crate) struct Place {
     pub(crate) classes: [u32; Class::COUNT],
     /// What its vertices are.
     pub(crate) layout: Layout,
-    /// Of a projected one: the first word of its picture in the buffer, and the picture's side in pixels.
-    pub(crate) picture: [u32; 2],
+    /// Of a projected one; all 0 in others.
+    pub(crate) picture: Picture,
+}
+
+/// Where the picture of a projected blob lies.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub(crate) struct Picture {
+    /// Its first word in the buffer.
+    pub(crate) start: u32,
+    /// Pixels along a side.
+    pub(crate) side: u32,
+    /// First word of its normals, 0 where it has none.
+    pub(crate) normals: u32,
 }
 
 impl Place {
@@ -120,7 +131,7 @@ impl GeometryMemory {
         let picture_start = (index_start + u64::from(triangles) * 6).next_multiple_of(4);
         let is_sound = match layout {
             Layout::Plain | Layout::Textured => true,
-            Layout::Projected => {
+            Layout::Projected | Layout::ProjectedNormals => {
                 projected::is_side(side) && classes == Class::OpaqueDouble.all(triangles)
             }
         };
@@ -140,7 +151,7 @@ impl GeometryMemory {
         }
         if bytes.is_empty() {
             self.evict(id);
-            let picture = [0; 2];
+            let picture = Picture::default();
             let place =
                 Place { chunk: 0, base_vertex: 0, first_index: 0, classes, layout, picture };
             self.blobs.insert(id, Resident { place, offset: 0, length: 0 });
@@ -151,18 +162,26 @@ impl GeometryMemory {
             return Ok(Upload::Full);
         };
         self.evict(id);
-        if layout == Layout::Projected {
+        if layout.is_projected() {
             self.bind_words(device, chunk);
         }
         staging.write(device, self.buffer(chunk), offset, bytes)?;
-        // Buffers hold 4 GiB at most, so both numbers fit.
+        let word = |at: u64| ((offset + at) / 4) as u32;
+        // The last of what it holds.
+        let normals = needed - u64::from(tiles) * projected::TILE_BYTES as u64;
+        let picture = Picture {
+            start: word(picture_start),
+            side,
+            normals: if blob.has_normals() { word(normals) } else { 0 },
+        };
+        // Buffers hold 4 GiB at most, so all numbers fit.
         let place = Place {
             chunk,
             base_vertex: (offset / vertex_bytes) as i32,
             first_index: ((offset + index_start) / 2) as u32,
             classes,
             layout,
-            picture: [((offset + picture_start) / 4) as u32, side],
+            picture,
         };
         self.blobs.insert(id, Resident { place, offset, length });
         Ok(Upload::Done)
@@ -236,7 +255,9 @@ impl GeometryMemory {
     ) -> Result<Option<(usize, u64)>, BackendError> {
         let bound = match layout {
             Layout::Plain | Layout::Textured => u64::MAX,
-            Layout::Projected => device.limits.max_storage_buffer_binding_size,
+            Layout::Projected | Layout::ProjectedNormals => {
+                device.limits.max_storage_buffer_binding_size
+            }
         };
         // 16-bit index offsets are counted in 32 bits.
         let limit = device.limits.max_buffer_size.min(1 << 32).min(bound) / GRAIN * GRAIN;

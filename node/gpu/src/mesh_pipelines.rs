@@ -23,6 +23,8 @@ pub(crate) enum Into {
     Depth,
     /// Colour and depth.
     Picture,
+    /// The same under another sun than pictures of scan cubes show: those that have normals are lit again.
+    Relit,
     /// Normals and depth.
     Normals,
     /// Item ids and depth.
@@ -89,13 +91,17 @@ impl Key {
             (true, false) => Faces::CounterClockwise,
             (true, true) => Faces::Clockwise,
         };
+        let into = match into {
+            Into::Relit if layout != Layout::ProjectedNormals => Into::Picture,
+            into => into,
+        };
         Self { into, kind, faces, layout }
     }
 
     /// What its shader reads.
     pub(crate) fn reads(self) -> Reads {
         match (self.into, self.layout, self.kind) {
-            (Into::Picture, Layout::Projected, _) => Reads::Picture,
+            (Into::Picture | Into::Relit, layout, _) if layout.is_projected() => Reads::Picture,
             (Into::Picture | Into::Normals, Layout::Textured, _) | (Into::Items, _, Kind::Mask) => {
                 Reads::Textures
             }
@@ -143,13 +149,21 @@ fn made(
     key: Key,
     sound: Soundness,
 ) -> wgpu::RenderPipeline {
+    let of_patch = |fragment| (shaders::PROJECTED, fragment);
     let (source, fragment) = match (key.into, key.kind, key.layout) {
-        (Into::Depth, _, Layout::Projected) => {
-            (shaders::PROJECTED, sound.guards.then_some("fragment_guard"))
+        (Into::Depth, _, Layout::Projected | Layout::ProjectedNormals) => {
+            of_patch(sound.guards.then_some("fragment_guard"))
         }
-        (Into::Picture, _, Layout::Projected) => (shaders::PROJECTED, Some("fragment_main")),
-        (Into::Normals, _, Layout::Projected) => (shaders::PROJECTED, Some("fragment_normal")),
-        (Into::Items, _, Layout::Projected) => (shaders::PROJECTED, Some("fragment_items")),
+        (Into::Picture, _, Layout::Projected | Layout::ProjectedNormals) => {
+            of_patch(Some("fragment_main"))
+        }
+        (Into::Normals, _, Layout::Projected | Layout::ProjectedNormals) => {
+            of_patch(Some("fragment_normal"))
+        }
+        (Into::Items, _, Layout::Projected | Layout::ProjectedNormals) => {
+            of_patch(Some("fragment_items"))
+        }
+        (Into::Relit, ..) => of_patch(Some("fragment_relit")),
         (Into::Depth, ..) => (shaders::DEPTH, sound.guards.then_some("fragment_guard")),
         (Into::Picture, Kind::Mask, _) => (shaders::SHADE_MASK, Some("fragment_mask")),
         (Into::Picture, Kind::Opaque, Layout::Textured) => {
@@ -168,7 +182,7 @@ fn made(
     };
     let target = match key.into {
         Into::Depth => None,
-        Into::Picture => Some(COLOR_FORMAT),
+        Into::Picture | Into::Relit => Some(COLOR_FORMAT),
         Into::Normals => Some(NORMALS_FORMAT),
         Into::Items => Some(ITEMS_FORMAT),
     };
@@ -185,7 +199,7 @@ fn made(
     let fields = match key.layout {
         Layout::Plain | Layout::Textured => Vertex::FIELDS,
         // The position alone.
-        Layout::Projected => &Vertex::FIELDS[..1],
+        Layout::Projected | Layout::ProjectedNormals => &Vertex::FIELDS[..1],
     };
     let mut of_vertex = attributes(Vertex::FIRST_LOCATION, fields, 0);
     if key.reads() == Reads::Textures {
@@ -213,7 +227,7 @@ fn made(
     let recipe = Recipe {
         label: &format!("{key:?}"),
         source: &shaders::for_meshes(source, sound.guards),
-        vertex: "vertex_main",
+        vertex: if key.into == Into::Relit { "vertex_relit" } else { "vertex_main" },
         fragment,
         target: target.map(|format| wgpu::ColorTargetState {
             blend: (blends && key.into == Into::Picture).then_some(over),
@@ -224,7 +238,7 @@ fn made(
         cull: (key.faces != Faces::Both).then_some(wgpu::Face::Back),
         front: if key.faces == Faces::Clockwise { FrontFace::Cw } else { FrontFace::Ccw },
         depth_write: !blends,
-        bias_px: if key.layout == Layout::Projected { 0.0 } else { sound.bias_px },
+        bias_px: if key.layout.is_projected() { 0.0 } else { sound.bias_px },
         compare: CompareFunction::GreaterEqual,
     };
     compile(device, &recipe)
@@ -250,9 +264,22 @@ mod tests {
 
     #[test]
     fn pictures_of_projected_blobs_alone_read_them() {
-        let reads = [Into::Depth, Into::Items, Into::Normals, Into::Picture]
-            .map(|into| Key::new(into, Class::OpaqueDouble, Layout::Projected, false).reads());
-        assert_eq!(reads, [Reads::Nothing, Reads::Nothing, Reads::Nothing, Reads::Picture]);
+        for layout in [Layout::Projected, Layout::ProjectedNormals] {
+            let reads = |into| Key::new(into, Class::OpaqueDouble, layout, false).reads();
+            let others = [Into::Depth, Into::Items, Into::Normals].map(reads);
+            assert_eq!(others, [Reads::Nothing; 3]);
+            assert_eq!([Into::Picture, Into::Relit].map(reads), [Reads::Picture; 2]);
+        }
+    }
+
+    #[test]
+    fn only_what_has_normals_is_lit_again() {
+        let key = |into, layout| Key::new(into, Class::OpaqueDouble, layout, false);
+        for layout in [Layout::Plain, Layout::Textured, Layout::Projected] {
+            assert_eq!(key(Into::Relit, layout), key(Into::Picture, layout));
+        }
+        let layout = Layout::ProjectedNormals;
+        assert_ne!(key(Into::Relit, layout), key(Into::Picture, layout));
     }
 
     #[test]

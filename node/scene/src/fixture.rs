@@ -45,6 +45,7 @@ pub(crate) fn write_with(path: &Path, seed: u64, change: impl FnOnce(&mut [Hlod]
         indices: &[0, 1, 2],
         table: &[1],
         tiles: &[[0x5a; TILE_BYTES]],
+        normals: None,
     };
     let BlobId(face) = writer.add_patch(&face).unwrap();
     let cube = Cube {

@@ -142,7 +142,9 @@ pub(super) fn check_blobs(blobs: &[Blob]) -> Result<(), Violation> {
         };
         let [side, tiles] = blob.image;
         let possible = match of_vertex {
-            Layout::Projected => projected::is_side(side) && tiles <= projected::most_tiles(side),
+            Layout::Projected | Layout::ProjectedNormals => {
+                projected::is_side(side) && tiles <= projected::most_tiles(side)
+            }
             Layout::Plain | Layout::Textured => blob.image == [0; 2],
         };
         hold(place, possible, Rule::Picture { side, tiles })?;

@@ -100,7 +100,8 @@ pub(super) fn add_blobs(writer: &mut SceneWriter) {
     let vertices = places.map(Vertex::pack_position);
     let tiles = [[0x11; TILE_BYTES], [0x22; TILE_BYTES]];
     writer.add_patch(&NewPatch { vertices: &vertices, tiles: &tiles, ..large }).unwrap();
-    writer.add_patch(&NewPatch { indices: &[0, 1, 2, 0, 2, 1], ..face() }).unwrap();
+    let normals = Some(&[[0x44; TILE_BYTES]][..]);
+    writer.add_patch(&NewPatch { indices: &[0, 1, 2, 0, 2, 1], normals, ..face() }).unwrap();
     writer.add_patch(&face()).unwrap();
 }
 
@@ -116,6 +117,7 @@ pub(super) fn face() -> NewPatch<'static> {
         indices: &[0, 1, 2],
         table: &[1],
         tiles: &[[0x33; TILE_BYTES]],
+        normals: None,
     }
 }
 

@@ -415,7 +415,7 @@ mod tests {
         assert_eq!(s.far_fields, far);
         assert_eq!((s.bytes.view_cells, s.bytes.cubes), (2 * 72, 2 * 64));
         let large = 4 * 8 + 8 + 4 * 4 + 2 * 128;
-        assert_eq!(s.bytes.faces, large + (24 + 12 + 4 + 128) + (24 + 8 + 4 + 128));
+        assert_eq!(s.bytes.faces, large + (24 + 12 + 4 + 2 * 128) + (24 + 8 + 4 + 128));
         let text = s.to_string();
         let line =
             "view cells    itdm 1, tdm 0, geometry alone 1; 2 scan cubes, 1 of them deltas, 4";

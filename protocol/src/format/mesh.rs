@@ -66,8 +66,7 @@ pub enum BlobDamage {
 /// Bytes that a blob's counts call for.
 pub fn blob_bytes(blob: &Blob) -> u64 {
     let of_mesh = mesh_bytes(blob.vertex_layout(), blob.vertices, blob.triangles);
-    let [side, tiles] = blob.image;
-    of_mesh + if blob.is_projected() { projected::image_bytes(side, tiles) } else { 0 }
+    of_mesh + projected::image_bytes(blob.vertex_layout(), blob.image)
 }
 
 /// Bytes of so many vertices and triangles.

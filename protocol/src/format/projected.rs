@@ -28,9 +28,15 @@
 //! numbers, row by row, 0 for a tile that no triangle shows, else 1 + its place among the stored tiles; then
 //! the tiles, 16x16 pixels each, as 16 BC1 blocks of 4x4 pixels row by row. A pixel is an sRGB-encoded
 //! colour as it was shaded when the sample was taken.
+//!
+//! Under [`Layout::ProjectedNormals`] as many tiles follow in the same order, of normals: what the light was that a
+//! colour has, and what another would be, follows from them. A block has two ends, each an octahedral direction
+//! ([`from_octahedral`]) of two codes `c`, `(c - 128) / 127` apiece, and the selectors of BC1 between their codes. The
+//! axes are the face's `right`, `up` and `-forward`: the middle of the octahedron looks at the viewpoint, and what is
+//! seen lies around it, away from the seams.
 
 use super::mesh::{self, BlobDamage};
-use super::vertex::{Layout, POSITION_BITS, POSITION_MAX};
+use super::vertex::{Layout, POSITION_BITS, POSITION_MAX, from_octahedral};
 use super::{Blob, Class};
 
 /// Bytes of a vertex: [`super::Vertex::pack_position`].
@@ -39,7 +45,7 @@ pub const VERTEX_BYTES: usize = 8;
 pub const SUBPIXELS: u32 = 16;
 /// Pixels along a side of a tile.
 pub const TILE: u32 = 16;
-/// Bytes of a tile.
+/// Bytes of a tile of colours, and of one of normals.
 pub const TILE_BYTES: usize = 128;
 /// Largest side of a face: its grid coordinates fit a position.
 pub const MAX_SIDE: u32 = 4096;
@@ -70,10 +76,15 @@ pub fn is_side(side: u32) -> bool {
     side.is_multiple_of(TILE) && (TILE..=MAX_SIDE).contains(&side)
 }
 
-/// Bytes of the picture of a window with so many stored tiles.
-pub fn image_bytes(side: u32, tiles: u32) -> u64 {
+/// Bytes of the picture of a window of `side` pixels with so many stored tiles; none under layouts without.
+pub fn image_bytes(layout: Layout, [side, tiles]: [u32; 2]) -> u64 {
+    let kinds = match layout {
+        Layout::Plain | Layout::Textured => return 0,
+        Layout::Projected => 1,
+        Layout::ProjectedNormals => 2,
+    };
     let across = u64::from(side / TILE);
-    across * across * 4 + u64::from(tiles) * TILE_BYTES as u64
+    across * across * 4 + kinds * u64::from(tiles) * TILE_BYTES as u64
 }
 
 /// Tiles that a picture of this side has at most.
@@ -98,28 +109,38 @@ pub struct NewPatch<'a> {
     pub table: &'a [u32],
     /// The tiles that are stored, each named once in `table`.
     pub tiles: &'a [[u8; TILE_BYTES]],
+    /// As many of normals, if it has any.
+    pub normals: Option<&'a [[u8; TILE_BYTES]]>,
 }
 
 impl NewPatch<'_> {
     /// Its bytes, and its record but for where they lie, how long they are and their checksum.
     ///
     /// # Panics
-    /// If there is no such side, `table` or `tiles` are not as their docs say, a vertex lies outside the
+    /// If there is no such side, `table`, `tiles` or `normals` are not as their docs say, a vertex lies outside the
     /// picture, or the mesh is none ([`mesh::lay_out`]).
     pub(super) fn encode(&self) -> (Blob, Vec<u8>) {
-        let &Self { step, at: [left, top], side, vertices, indices, table, tiles } = self;
+        let &Self { step, at: [left, top], side, vertices, indices, table, tiles, normals } = self;
         assert!(is_side(side), "a picture of {side} pixels a side");
         assert_eq!(table.len(), most_tiles(side) as usize, "entries of the tile table");
-        let mut bytes = mesh::lay_out(Layout::Projected, bytemuck::cast_slice(vertices), indices);
+        let layout = match normals {
+            None => Layout::Projected,
+            Some(normals) => {
+                assert_eq!(normals.len(), tiles.len(), "tiles of normals");
+                Layout::ProjectedNormals
+            }
+        };
+        let mut bytes = mesh::lay_out(layout, bytemuck::cast_slice(vertices), indices);
         bytes.extend_from_slice(bytemuck::cast_slice(table));
         bytes.extend_from_slice(tiles.as_flattened());
+        bytes.extend_from_slice(normals.unwrap_or_default().as_flattened());
         let triangles = (indices.len() / 3) as u32;
         let blob = Blob {
             origin: [f64::from(left), f64::from(top), 0.0],
             step,
             vertices: vertices.len() as u32,
             triangles,
-            layout: Layout::Projected as u32,
+            layout: layout as u32,
             classes: Class::OpaqueDouble.all(triangles),
             image: [side, tiles.len() as u32],
             ..Blob::default()
@@ -167,6 +188,8 @@ pub struct Patch<'a> {
     pub table: &'a [u8],
     /// Stored tiles.
     pub tiles: &'a [u8],
+    /// As many bytes of normals, if it has any.
+    pub normals: Option<&'a [u8]>,
 }
 
 impl<'a> Patch<'a> {
@@ -176,21 +199,34 @@ impl<'a> Patch<'a> {
         let of_indices = blob.triangles as usize * 6;
         let indices = &rest[..of_indices];
         let rest = &rest[of_indices.next_multiple_of(4)..];
-        let [side, _] = blob.image;
+        let [side, tiles] = blob.image;
         let across = (side / TILE) as usize;
-        let (table, tiles) = rest.split_at(across * across * 4);
-        Self { side, vertices, indices, table, tiles }
+        let (table, rest) = rest.split_at(across * across * 4);
+        let of_tiles = tiles as usize * TILE_BYTES;
+        let (tiles, rest) = rest.split_at(of_tiles);
+        let normals = blob.has_normals().then(|| &rest[..of_tiles]);
+        Self { side, vertices, indices, table, tiles, normals }
     }
 
     /// The colour of a pixel, sRGB-encoded; black where no tile is stored.
     pub fn pixel(&self, x: u32, y: u32) -> [u8; 3] {
+        let Some(at) = self.block(x, y) else { return [0; 3] };
+        bc1_pixel(std::array::from_fn(|k| self.tiles[at + k]), x % 4, y % 4)
+    }
+
+    /// The normal of a pixel, in the face's axes and not normalised, where one is stored.
+    pub fn normal(&self, x: u32, y: u32) -> Option<[f32; 3]> {
+        let (normals, at) = (self.normals?, self.block(x, y)?);
+        Some(normal_pixel(std::array::from_fn(|k| normals[at + k]), x % 4, y % 4))
+    }
+
+    /// Where the block of a pixel lies among those stored, bytes.
+    fn block(&self, x: u32, y: u32) -> Option<usize> {
         let (across, tile) = (self.side / TILE, [x / TILE, y / TILE]);
         let at = (tile[1] * across + tile[0]) as usize * 4;
         let entry = u32::from_le_bytes(std::array::from_fn(|k| self.table[at + k]));
-        let Some(place) = entry.checked_sub(1) else { return [0; 3] };
         let (x, y) = (x % TILE, y % TILE);
-        let block = place as usize * TILE_BYTES + ((y / 4 * 4 + x / 4) * 8) as usize;
-        bc1_pixel(std::array::from_fn(|k| self.tiles[block + k]), x % 4, y % 4)
+        Some(entry.checked_sub(1)? as usize * TILE_BYTES + ((y / 4 * 4 + x / 4) * 8) as usize)
     }
 }
 
@@ -203,9 +239,30 @@ pub fn bc1_pixel(block: [u8; 8], x: u32, y: u32) -> [u8; 3] {
         let (r, g, b) = (bits >> 11, bits >> 5 & 63, bits & 31);
         [r << 3 | r >> 2, g << 2 | g >> 4, b << 3 | b >> 2]
     };
-    let (a, b) = (end(0), end(2));
+    selected(end(0), end(2), block, x, y)
+}
+
+/// A pixel of a block of normals, in the face's axes and not normalised.
+pub fn normal_pixel(block: [u8; 8], x: u32, y: u32) -> [f32; 3] {
+    let [a, b] = [0, 2].map(|at| [block[at], block[at + 1]].map(u32::from));
+    from_normal_code(selected(a, b, block, x, y))
+}
+
+/// The direction of a pair of codes of a block of normals, not normalised.
+pub fn from_normal_code(code: [u8; 2]) -> [f32; 3] {
+    from_octahedral(code.map(|code| (f32::from(code) - 128.0) / 127.0))
+}
+
+/// What a block's selector makes of its ends.
+fn selected<const N: usize>(a: [u32; N], b: [u32; N], block: [u8; 8], x: u32, y: u32) -> [u8; N] {
     let selectors = u32::from_le_bytes(std::array::from_fn(|k| block[4 + k]));
-    let (of_a, of_b) = match selectors >> (2 * (4 * y + x)) & 3 {
+    mixed(a, b, selectors >> (2 * (4 * y + x)) & 3)
+}
+
+/// The code between two ends that a selector names: the first, the second, or at a third and two thirds, rounded
+/// down.
+pub fn mixed<const N: usize>(a: [u32; N], b: [u32; N], selector: u32) -> [u8; N] {
+    let (of_a, of_b) = match selector {
         0 => (3, 0),
         1 => (0, 3),
         2 => (2, 1),
@@ -259,12 +316,47 @@ mod tests {
         // Second stored tile, block (1, 2): all of its first end, white.
         let block = TILE_BYTES + (2 * 4 + 1) * 8;
         tiles[block..block + 2].copy_from_slice(&[0xff, 0xff]);
-        let face = Patch { side: 32, vertices: &[], indices: &[], table: &table, tiles: &tiles };
+        // Likewise its first end is the axis to the right, the others' are beyond straight left.
+        let mut normals = vec![0u8; 2 * TILE_BYTES];
+        normals[block..block + 2].copy_from_slice(&[255, 128]);
+        let face = Patch {
+            side: 32,
+            vertices: &[],
+            indices: &[],
+            table: &table,
+            tiles: &tiles,
+            normals: Some(&normals),
+        };
         assert_eq!(face.pixel(16 + 4, 16 + 8), [255; 3]);
         assert_eq!(face.pixel(16 + 8, 16 + 8), [0; 3]);
         assert_eq!(face.pixel(4, 8), [0; 3]);
-        assert_eq!(image_bytes(32, 2), (table.len() + tiles.len()) as u64);
+        assert_eq!(face.normal(16 + 4, 16 + 8), Some([1.0, 0.0, 0.0]));
+        assert!(face.normal(16 + 8, 16 + 8).is_some_and(|n| n[2] < -0.9), "behind the face");
+        assert_eq!(face.normal(4, 8), None);
+        assert_eq!(Patch { normals: None, ..face }.normal(16 + 4, 16 + 8), None);
+        let all = (table.len() + tiles.len()) as u64;
+        assert_eq!(image_bytes(Layout::Projected, [32, 2]), all);
+        assert_eq!(image_bytes(Layout::ProjectedNormals, [32, 2]), all + normals.len() as u64);
     }
+
+    #[test]
+    fn normals_lie_between_the_ends_of_their_block() {
+        // Straight at the viewpoint and straight up; one row of each selector.
+        let block = [128, 128, 128, 255, 0b1110_0100, 0, 0x55, 0xff];
+        assert_eq!(normal_pixel(block, 0, 0), [0.0, 0.0, 1.0]);
+        assert_eq!(normal_pixel(block, 1, 0), [0.0, 1.0, 0.0]);
+        for (x, third) in [(2, 42.0 / 127.0), (3, 84.0 / 127.0)] {
+            assert_eq!(normal_pixel(block, x, 0), [0.0, third, 1.0 - third]);
+        }
+        assert_eq!(normal_pixel(block, 3, 2), normal_pixel(block, 1, 0));
+        assert_eq!(normal_pixel(block, 0, 3), normal_pixel(block, 3, 0));
+        // Whatever stands there is a direction.
+        for (a, b) in (0..=255).flat_map(|a| (0..=255).map(move |b| (a, b))) {
+            let [x, y, z] = from_normal_code([a, b]);
+            assert!(x * x + y * y + z * z > 0.3, "{a} {b}");
+        }
+    }
+
     /// The face after `change` by someone who also fixed the checksum.
     fn forged(face: &NewPatch<'_>, change: impl FnOnce(&mut [u8])) -> Result<(), BlobDamage> {
         let (mut blob, mut bytes) = face.encode();
@@ -282,6 +374,29 @@ mod tests {
         assert_eq!(forged(&face(), |_| ()), Ok(()));
         let short = check_blob(&Blob { image: [16, 2], ..blob }, &bytes, 0);
         assert!(matches!(short, Err(BlobDamage::Length { expected: 292, .. })), "{short:?}");
+    }
+
+    #[test]
+    fn normals_follow_the_colours() {
+        let normals = [[0x44; TILE_BYTES]];
+        let face = NewPatch { normals: Some(&normals), ..face() };
+        let (blob, bytes) = face.encode();
+        assert_eq!(bytes.len(), 3 * 8 + 6 + 2 + 4 + 2 * 128);
+        let patch = Patch::of(&blob, &bytes);
+        assert_eq!((patch.tiles, patch.normals), (&[0x33; 128][..], Some(&[0x44; 128][..])));
+        assert_eq!(forged(&face, |_| ()), Ok(()));
+        assert_eq!(forged(&face, |b| b[32] = 2), Err(BlobDamage::Tile { entry: 0, tile: 2 }));
+        let layout = Layout::Projected as u32;
+        let bare = check_blob(&Blob { layout, ..blob }, &bytes, 0);
+        assert_eq!(bare, Err(BlobDamage::Length { found: 292, expected: 164 }));
+        let cut = check_blob(&blob, &bytes[..164], 0);
+        assert_eq!(cut, Err(BlobDamage::Length { found: 164, expected: 292 }));
+    }
+
+    #[test]
+    #[should_panic(expected = "tiles of normals")]
+    fn fewer_normals_than_colours_are_our_mistake() {
+        NewPatch { normals: Some(&[]), ..face() }.encode();
     }
 
     #[test]

@@ -103,7 +103,12 @@ impl Blob {
 
     /// Whether it is a face of a scan cube.
     pub fn is_projected(&self) -> bool {
-        self.layout == Layout::Projected as u32
+        self.vertex_layout().is_projected()
+    }
+
+    /// Whether normals lie beside the colours of its picture.
+    pub fn has_normals(&self) -> bool {
+        self.vertex_layout() == Layout::ProjectedNormals
     }
 
     /// Whether any of its triangles is of `class`.

@@ -49,12 +49,7 @@ impl Vertex {
 
     /// Packs a unit normal (Meyer et al. 2010, octahedron mapping).
     pub fn pack_normal(n: [f32; 3]) -> u32 {
-        let sum = n[0].abs() + n[1].abs() + n[2].abs();
-        let (mut x, mut y) = if sum > 0.0 { (n[0] / sum, n[1] / sum) } else { (0.0, 0.0) };
-        if n[2] < 0.0 {
-            let sign = |v: f32| if v < 0.0 { -1.0 } else { 1.0 };
-            (x, y) = ((1.0 - y.abs()) * sign(x), (1.0 - x.abs()) * sign(y));
-        }
+        let [x, y] = octahedral(n);
         let quantise = |v: f32| (v.clamp(-1.0, 1.0) * 32767.0).round() as i16 as u16;
         u32::from(quantise(x)) | u32::from(quantise(y)) << 16
     }
@@ -62,12 +57,25 @@ impl Vertex {
     /// The normal, not normalised (its length lies in [1/sqrt 3, 1]).
     pub fn unpack_normal(packed: u32) -> [f32; 3] {
         let fraction = |bits: u32| f32::from(bits as u16 as i16) / 32767.0;
-        let (x, y) = (fraction(packed), fraction(packed >> 16));
-        let z = 1.0 - x.abs() - y.abs();
-        let fold = (-z).max(0.0);
-        let toward = |v: f32| if v >= 0.0 { v - fold } else { v + fold };
-        [toward(x), toward(y), z]
+        from_octahedral([fraction(packed), fraction(packed >> 16)])
     }
+}
+
+/// A direction as a place in a square of -1 to 1 (Meyer et al. 2010): straight up z lies in the middle, straight
+/// down in all corners.
+pub fn octahedral(n: [f32; 3]) -> [f32; 2] {
+    let sum = n[0].abs() + n[1].abs() + n[2].abs();
+    let (x, y) = if sum > 0.0 { (n[0] / sum, n[1] / sum) } else { (0.0, 0.0) };
+    let sign = |v: f32| if v < 0.0 { -1.0 } else { 1.0 };
+    if n[2] < 0.0 { [(1.0 - y.abs()) * sign(x), (1.0 - x.abs()) * sign(y)] } else { [x, y] }
+}
+
+/// The direction of such a place, not normalised.
+pub fn from_octahedral([x, y]: [f32; 2]) -> [f32; 3] {
+    let z = 1.0 - x.abs() - y.abs();
+    let fold = (-z).max(0.0);
+    let toward = |v: f32| if v >= 0.0 { v - fold } else { v + fold };
+    [toward(x), toward(y), z]
 }
 
 /// A vertex of a mesh with textures or a mask: 32 bytes.
@@ -95,12 +103,14 @@ pub enum Layout {
     Textured = 1,
     /// [`super::projected`]: 8 bytes, a place in the picture of a scan cube's face and its disparity.
     Projected = 2,
+    /// The same, and normals lie beside the picture's colours.
+    ProjectedNormals = 3,
 }
 
 impl Layout {
     /// The layout of a number in a file.
     pub fn of(number: u32) -> Option<Self> {
-        [Self::Plain, Self::Textured, Self::Projected]
+        [Self::Plain, Self::Textured, Self::Projected, Self::ProjectedNormals]
             .into_iter()
             .find(|&layout| layout as u32 == number)
     }
@@ -110,8 +120,13 @@ impl Layout {
         match self {
             Self::Plain => size_of::<Vertex>(),
             Self::Textured => size_of::<TexturedVertex>(),
-            Self::Projected => super::projected::VERTEX_BYTES,
+            Self::Projected | Self::ProjectedNormals => super::projected::VERTEX_BYTES,
         }
+    }
+
+    /// Whether it is that of a patch of a scan cube's face.
+    pub fn is_projected(self) -> bool {
+        matches!(self, Self::Projected | Self::ProjectedNormals)
     }
 }
 

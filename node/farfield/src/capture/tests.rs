@@ -1,12 +1,19 @@
 //! Samples of turned cubes, through the CPU backend.
 
 use super::*;
+use crate::depth_mesh::simplify::FaceMesh;
+use crate::normals::FaceNormals;
+use crate::patches::Window;
+use crate::picture::stored_picture;
+use protocol::format::projected::{Patch, SUBPIXELS, TILE};
+use protocol::format::texture::srgb_to_linear;
 use protocol::format::{
     Class, Hlod, Level, NONE, Part as PlacedMesh, SceneInfo, SceneWriter, Tables, Transform,
     Vertex, Vertices,
 };
+use protocol::sun::Sun;
 use scene::backend::cpu::CpuBackend;
-use scene::backend::normal;
+use scene::backend::{light, normal};
 use std::path::Path;
 
 const SIDE: u32 = 64;
@@ -144,5 +151,87 @@ fn normals_are_those_of_the_surfaces_seen_and_come_only_if_asked_for() {
             assert!(off <= Some(1) || reaches[2] - reaches[1] < 1e-3, "{code:?} {expected:?}");
         }
         assert!(covered > 200, "face {face}: {covered}");
+    }
+}
+
+fn psnr(a: &[[u8; 3]], b: &[[u8; 3]], seen: impl Fn(usize) -> bool) -> f64 {
+    let pairs = a.iter().zip(b).enumerate().filter(|(at, _)| seen(*at));
+    let off = pairs.flat_map(|(_, (a, b))| (0..3).map(|k| f64::from(a[k].abs_diff(b[k])).powi(2)));
+    let (sum, count) = off.fold((0.0, 0.0), |(sum, count), off| (sum + off, count + 1.0));
+    10.0 * (255.0 * 255.0 * count / sum).log10()
+}
+
+/// The picture of a whole face as it is stored, and with its normals lit by a sun.
+fn stored(picture: &FacePicture, axes: &FaceAxes, sun: [f32; 3]) -> [Vec<[u8; 3]>; 2] {
+    let normals = FaceNormals::of(picture, SIDE, axes);
+    let full = SIDE * SUBPIXELS;
+    let mesh = FaceMesh {
+        vertices: vec![[0, 0, 1], [full, 0, 1], [0, full, 1], [full, full, 1]],
+        triangles: vec![[0, 1, 2], [1, 3, 2]],
+        step: 1.0,
+        error_px: 0.0,
+    };
+    let window = Window { at: [0; 2], across: SIDE / TILE };
+    let stored = stored_picture(picture, normals.as_ref(), SIDE, &mesh, &mesh.triangles, window);
+    let table: Vec<u8> = stored.table.iter().flat_map(|entry| entry.to_le_bytes()).collect();
+    let (vertices, indices) = (&[][..], &[][..]);
+    let (table, tiles, normals) = (&table[..], &stored.tiles[..], stored.normals.as_deref());
+    let patch = Patch { side: SIDE, vertices, indices, table, tiles, normals };
+    let axes = [axes.right, axes.up, axes.forward.map(|c| -c)].map(DVec3::from_array);
+    let relit = |x: u32, y: u32| {
+        let n = patch.normal(x, y).map_or(DVec3::ZERO, |n| DVec3::from_array(n.map(f64::from)));
+        let n = (axes[0] * n.x + axes[1] * n.y + axes[2] * n.z).normalize_or_zero().as_vec3();
+        let light = |sun| light::intensity(n.to_array(), sun);
+        let factor = light(sun) / light(light::baked_sun());
+        patch.pixel(x, y).map(|code| srgb_from_linear(srgb_to_linear(code) * factor))
+    };
+    let pixels = || (0..SIDE * SIDE).map(|at| (at % SIDE, at / SIDE));
+    [
+        pixels().map(|(x, y)| patch.pixel(x, y)).collect(),
+        pixels().map(|(x, y)| relit(x, y)).collect(),
+    ]
+}
+
+fn srgb_from_linear(linear: f32) -> u8 {
+    let s =
+        if linear <= 0.003_130_8 { 12.92 * linear } else { 1.055 * linear.powf(1.0 / 2.4) - 0.055 };
+    (s * 255.0).round() as u8
+}
+
+#[test]
+fn what_is_lit_again_is_what_another_sun_would_have_shown() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("cubes.occ");
+    write(&path);
+    let store = Store::open(&path).unwrap();
+    let sample = sample(&store, u64::MAX, true).unwrap();
+    let size = PictureSize { width: SIDE, height: SIDE };
+    let mut studio = Studio::new(&store, Box::new(CpuBackend::new(size)), SIDE, 0.01).unwrap();
+    let near = NearField::new(store.skeleton(), [-0.1; 3], [0.1; 3]);
+    for sun in [[0.0, 0.0, 1.0], [-0.8, 0.5, 0.2], [-0.35, 0.85, -0.4]] {
+        let sun = Sun::try_from(sun).unwrap().unit();
+        let mut sums = [0.0; 3];
+        for (face, axes) in FACES.iter().enumerate() {
+            let camera = studio.camera(sample.eye, axes);
+            let front = front_of(store.skeleton(), &camera, size, LOD_PX, Field::Far(&near));
+            let draws = draw_list(store.skeleton(), &front.entries, camera.eye);
+            let view = View::new(&camera, size);
+            let direct = studio.picture(view, Shading::Lit { sun }, &draws).unwrap();
+            let picture = &sample.faces[face];
+            let direct = FacePicture { color: rgb(&direct.rgba), ..picture.clone() };
+            let [stale, relit] = stored(picture, axes, sun);
+            let [baked, _] = stored(&direct, axes, sun);
+            let of =
+                |found: &[[u8; 3]]| psnr(found, &direct.color, |at| picture.disparity[at] > 0.0);
+            let [stale, relit, baked] = [stale, relit, baked].map(|found| of(&found));
+            eprintln!(
+                "face {face}: {stale:.1} dB stale, {relit:.1} relit, {baked:.1} baked under that sun"
+            );
+            // What was dark shows the colours' error when it is bright.
+            assert!(relit > 33.0, "face {face}");
+            sums = std::array::from_fn(|k| sums[k] + [stale, relit, baked][k] / 6.0);
+        }
+        let [stale, relit, baked] = sums;
+        assert!(relit > baked - 4.0 && stale < relit - 15.0, "{stale} {relit} {baked}");
     }
 }

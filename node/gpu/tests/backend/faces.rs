@@ -27,6 +27,8 @@ pub(crate) struct Face {
     pub(crate) corners: Vec<[u32; 3]>,
     /// Of which some are stored.
     pub(crate) tiles: Vec<Option<Tile>>,
+    /// Of each of them, if it has any.
+    pub(crate) normals: Option<Vec<Tile>>,
 }
 
 impl Face {
@@ -34,7 +36,13 @@ impl Face {
     pub(crate) fn new(random: &mut StdRng, corners: Vec<[u32; 3]>) -> Self {
         let tiles = (0..ACROSS * ACROSS).map(|_| Some(random.random::<[u64; 16]>()));
         let tiles = tiles.map(|tile| tile.map(|blocks| blocks.map(u64::to_le_bytes))).collect();
-        Self { corners, tiles }
+        Self { corners, tiles, normals: None }
+    }
+
+    /// The same with noisy normals.
+    pub(crate) fn with_normals(self, random: &mut StdRng) -> Self {
+        let normals = self.tiles.iter().map(|_| random.random::<[u64; 16]>().map(u64::to_le_bytes));
+        Self { normals: Some(normals.collect()), ..self }
     }
 
     /// The whole of it; disparity changes by `slope` over a side, downwards.
@@ -62,11 +70,19 @@ impl Face {
             bytes.extend(entry.to_le_bytes());
         }
         bytes.extend(self.tiles.iter().flatten().flatten().flatten());
+        let of_stored = self.normals.iter().flatten().zip(&self.tiles);
+        let of_stored =
+            of_stored.filter(|(_, tile)| tile.is_some()).flat_map(|(normals, _)| normals);
+        bytes.extend(of_stored.flatten());
+        let layout = match self.normals {
+            Some(_) => Layout::ProjectedNormals,
+            None => Layout::Projected,
+        };
         let blob = Blob {
             vertices: count,
             triangles: count / 3,
             classes: Class::OpaqueDouble.all(count / 3),
-            layout: Layout::Projected as u32,
+            layout: layout as u32,
             image: [SIDE, stored],
             ..Blob::default()
         };

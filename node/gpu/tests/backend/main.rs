@@ -11,5 +11,6 @@ mod memory;
 mod parts;
 mod pictures;
 mod projected;
+mod relit;
 mod slivers;
 mod support;

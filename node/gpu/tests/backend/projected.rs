@@ -19,7 +19,7 @@ use scene::backend::{
 };
 
 /// Pixels that are off by more than so many levels of a channel.
-fn off(a: &[u8], b: &[u8], levels: u8) -> usize {
+pub(crate) fn off(a: &[u8], b: &[u8], levels: u8) -> usize {
     let differs = |(a, b): &(&[u8], &[u8])| a.iter().zip(*b).any(|(a, b)| a.abs_diff(*b) > levels);
     a.chunks_exact(4).zip(b.chunks_exact(4)).filter(differs).count()
 }
@@ -245,7 +245,7 @@ fn tiles_that_are_not_stored_do_not_bleed() {
 }
 
 /// Triangles anywhere on a face, and a picture with holes.
-fn random_face(random: &mut StdRng, triangles: usize) -> Face {
+pub(crate) fn random_face(random: &mut StdRng, triangles: usize) -> Face {
     let mut corners = Vec::new();
     for _ in 0..triangles {
         let middle = [0; 2].map(|_: u32| random.random_range(0..FULL * 3 / 4));
@@ -420,7 +420,8 @@ fn keeps_within(backend: &mut impl Backend, budget: u64) {
     assert!(full > 10, "{full}");
     held.into_iter().for_each(|id| backend.evict(BlobId(id)));
     // The largest that there is room for; a triangle takes 30 bytes.
-    let of_picture = projected::image_bytes(SIDE, (ACROSS * ACROSS) as u32);
+    let tiles = (ACROSS * ACROSS) as u32;
+    let of_picture = projected::image_bytes(Layout::Projected, [SIDE, tiles]);
     let triangles = (budget - 32 - of_picture) / 30;
     let corners = |triangles: u64| vec![[0; 3]; 3 * triangles as usize];
     let largest = Face::new(random, corners(triangles));
@@ -453,6 +454,10 @@ fn refuses_what_is_no_face(backend: &mut impl Backend) {
     }
     assert!(backend.upload(BlobId(0), &blob, &bytes[..bytes.len() - 4]).is_err());
     assert_eq!(backend.upload(BlobId(0), &blob, &bytes).expect("a face"), Upload::Done);
+    let normals = Blob { layout: Layout::ProjectedNormals as u32, ..blob };
+    assert!(backend.upload(BlobId(0), &normals, &bytes).is_err(), "it has no normals");
+    let whole = [&bytes[..], &vec![0; tiles as usize * projected::TILE_BYTES]].concat();
+    assert_eq!(backend.upload(BlobId(0), &normals, &whole).expect("a face"), Upload::Done);
 }
 
 #[test]

@@ -7,7 +7,8 @@
 //!
 //! A projected blob ([`protocol::format::projected`]) is shown as it was shaded: its picture under a bilinear
 //! filter, without mips, whose pixels are made linear before they are weighed. Beyond the picture its border
-//! goes on; for a pixel whose tile is not stored stands the nearest of the filter's four that is.
+//! goes on; for a pixel whose tile is not stored stands the nearest of the filter's four that is. Under another sun
+//! than the bake's, pixels that have normals are lit again ([`light`]).
 
 pub mod cpu;
 pub mod light;
@@ -48,7 +49,8 @@ pub struct Draw {
     pub distance: f32,
     /// Disparity of a unit of z of a projected blob's grid, 0 for other blobs. With it `linear * grid +
     /// offset` is the eye-relative position times the disparity `grid.z * disparity_step`
-    /// ([`protocol::format::projected`]); what is nearer than the near plane is cut off.
+    /// ([`protocol::format::projected`]); what is nearer than the near plane is cut off. The first two columns
+    /// lie along the face's right and down, which tell what the axes of its normals are.
     pub disparity_step: f32,
 }
 

@@ -185,7 +185,7 @@ pub enum Rule {
         /// Bytes.
         bytes: u64,
     },
-    /// Vertices are plain, textured or projected.
+    /// Vertices are plain, textured or projected, the last with normals beside colours or without.
     #[error("its vertex layout {layout} does not exist")]
     Layout {
         /// The layout.

@@ -119,8 +119,8 @@ fn parts_follow_each_other_level_after_level() {
 
 #[test]
 fn triangles_have_classes_and_masks_textured_vertices() {
-    let layout = broken(|s| s.blobs[0].layout = 3);
-    assert_eq!(layout, Violation { place: blob(0), rule: Rule::Layout { layout: 3 } });
+    let layout = broken(|s| s.blobs[0].layout = 4);
+    assert_eq!(layout, Violation { place: blob(0), rule: Rule::Layout { layout: 4 } });
     // A textured mesh has more bytes.
     assert!(matches!(broken(|s| s.blobs[0].layout = 1).rule, Rule::MeshSize { .. }));
     let classes = Rule::Classes { sum: 3, triangles: 2 };
@@ -243,7 +243,11 @@ fn patches_alone_have_pictures_and_begin_with_a_tile() {
     }
     picture(4, [32, 5]);
     assert_eq!(broken(|s| s.blobs[1].layout = 2).rule, Rule::Picture { side: 0, tiles: 0 });
+    assert_eq!(broken(|s| s.blobs[1].layout = 3).rule, Rule::Picture { side: 0, tiles: 0 });
     assert!(matches!(broken(|s| s.blobs[4].image[1] = 3).rule, Rule::MeshSize { .. }));
+    // With normals, and without.
+    assert!(matches!(broken(|s| s.blobs[4].layout = 3).rule, Rule::MeshSize { .. }));
+    assert!(matches!(broken(|s| s.blobs[5].layout = 2).rule, Rule::MeshSize { .. }));
     let single = broken(|s| s.blobs[5].classes = [1, 1, 0, 0, 0, 0]);
     assert_eq!(single, Violation { place: blob(5), rule: Rule::PatchClass });
     for origin in [[0.0, 0.0, 1.0], [8.0, 0.0, 0.0], [0.0, -16.0, 0.0]] {

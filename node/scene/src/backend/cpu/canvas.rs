@@ -1,6 +1,7 @@
 //! What a pass is drawn on, kept from one of its parts to the next.
 
 use super::paint::Painter;
+use super::relight::Sunlight;
 use super::target::{Depth, pixel_count};
 use crate::backend::{NO_ITEM, Pass, Shading, light, normal};
 use protocol::settings::PictureSize;
@@ -16,7 +17,7 @@ pub(super) enum Layer {
     /// Nothing.
     Bare,
     /// Linear colours under a sun.
-    Colors { colors: Vec<[f32; 3]>, sun: [f32; 3] },
+    Colors { colors: Vec<[f32; 3]>, sunlight: Sunlight },
     /// Codes of normals.
     Normals(Vec<[u8; 3]>),
     /// Items of what is solid, and of what blends.
@@ -30,7 +31,7 @@ impl Canvas {
         let layer = match pass {
             Pass::Occluders { .. } | Pass::QueryBoxes { .. } => Layer::Bare,
             Pass::Shade { shading: Shading::Lit { sun }, .. } => {
-                Layer::Colors { colors: vec![light::SKY; pixels], sun: *sun }
+                Layer::Colors { colors: vec![light::SKY; pixels], sunlight: Sunlight::new(*sun) }
             }
             Pass::Shade { shading: Shading::Normals, .. } => {
                 Layer::Normals(vec![normal::encode([0.0; 3]); pixels])
@@ -48,9 +49,9 @@ impl Canvas {
         let Self { depth, layer } = self;
         match layer {
             Layer::Bare => solid.occlude(depth),
-            Layer::Colors { colors, sun } => {
-                solid.paint(depth, colors, *sun);
-                blending.blend(depth, colors, *sun);
+            Layer::Colors { colors, sunlight } => {
+                solid.paint(depth, colors, *sunlight);
+                blending.blend(depth, colors, *sunlight);
             }
             Layer::Normals(normals) => solid.paint_normals(depth, normals),
             Layer::Items { items, blended } => {

@@ -24,11 +24,10 @@ fn damaged(id: BlobId, what: &str) -> BackendError {
 pub(super) fn bytes_of(id: BlobId, blob: &Blob, bytes: &[u8]) -> Result<u64, BackendError> {
     let triangle_bytes = size_of::<[u16; 3]>() as u64;
     let drawn = blob.vertex_bytes() as u64 + u64::from(blob.triangles) * triangle_bytes;
-    let [side, tiles] = blob.image;
-    let (length, held) = match (blob.is_projected(), projected::is_side(side)) {
+    let (length, held) = match (blob.is_projected(), projected::is_side(blob.image[0])) {
         (false, _) => (drawn, drawn),
         (true, true) => {
-            let picture = projected::image_bytes(side, tiles);
+            let picture = projected::image_bytes(blob.vertex_layout(), blob.image);
             (drawn.next_multiple_of(4) + picture, drawn + picture)
         }
         (true, false) => return Err(damaged(id, "no picture has such a side")),

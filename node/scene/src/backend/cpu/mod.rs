@@ -10,6 +10,7 @@ mod paint;
 mod patch;
 mod project;
 mod raster;
+mod relight;
 mod shade;
 mod target;
 mod texture;
@@ -124,7 +125,7 @@ impl CpuBackend {
                 self.occlusion = Some((depth, tiles));
                 Completion::Occluders { ticket }
             }
-            Layer::Colors { colors, sun: _ } => {
+            Layer::Colors { colors, sunlight: _ } => {
                 let rgba =
                     colors.into_iter().flat_map(|linear| self.srgb.encode_rgba(linear)).collect();
                 picture(rgba, depth)

@@ -3,6 +3,7 @@
 use super::mesh::Mesh;
 use super::project::{Placed, Projection, apply};
 use super::raster::{Span, Turns};
+use super::relight::Sunlight;
 use super::shade::{Pixel, Placement, Surface};
 use super::target::{Depth, pixel_count};
 use super::texture::Textures;
@@ -54,9 +55,9 @@ impl<'a> Painter<'a> {
     }
 
     /// Writes depth and linear colours of what is solid.
-    pub(super) fn paint(&self, depth: &mut Depth, colors: &mut [[f32; 3]], sun: [f32; 3]) {
+    pub(super) fn paint(&self, depth: &mut Depth, colors: &mut [[f32; 3]], sunlight: Sunlight) {
         self.shade(depth, colors, |surface, pixel, ray| {
-            let [r, g, b, _] = surface.color(self.textures, sun, pixel, ray);
+            let [r, g, b, _] = surface.color(self.textures, sunlight, pixel, ray);
             [r, g, b]
         });
     }
@@ -96,14 +97,15 @@ impl<'a> Painter<'a> {
     }
 
     /// Lays the colours of what blends over `colors`.
-    pub(super) fn blend(&self, depth: &Depth, colors: &mut [[f32; 3]], sun: [f32; 3]) {
+    pub(super) fn blend(&self, depth: &Depth, colors: &mut [[f32; 3]], sunlight: Sunlight) {
         let placements = self.placements();
         let mut latest = Latest(None);
         self.rasterise(self.draw_by_draw(&BLEND), |owner, _, span| {
             depth.visit_passing(&span, |at, x| {
                 let pixel = self.pixel(x, span.y);
                 let surface = latest.of(owner, self, &placements);
-                let [r, g, b, alpha] = surface.color(self.textures, sun, pixel, self.ray(pixel));
+                let [r, g, b, alpha] =
+                    surface.color(self.textures, sunlight, pixel, self.ray(pixel));
                 for (under, over) in colors[at].iter_mut().zip([r, g, b]) {
                     *under += (over - *under) * alpha;
                 }

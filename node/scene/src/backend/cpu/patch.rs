@@ -1,8 +1,9 @@
 //! A patch of a face of a scan cube ([`protocol::format::projected`]): where its vertices lie, and its picture, read
 //! as it lies in the file.
 
+use super::relight::Relight;
 use super::texture::Textures;
-use protocol::format::projected::{self, TILE, bc1_pixel};
+use protocol::format::projected::{self, TILE, bc1_pixel, normal_pixel};
 
 /// BC1 blocks of a tile.
 const BLOCKS: usize = projected::TILE_BYTES / size_of::<Block>();
@@ -18,6 +19,8 @@ pub(super) struct Patch {
     /// Row by row: 0, or 1 + the place of a tile, which exists.
     table: Box<[u32]>,
     blocks: Box<[Block]>,
+    /// As many of normals, if it has any.
+    normals: Option<Box<[Block]>>,
 }
 
 impl Patch {
@@ -31,6 +34,7 @@ impl Patch {
             side: parts.side,
             table: words(parts.table),
             blocks: parts.tiles.as_chunks().0.into(),
+            normals: parts.normals.map(|normals| normals.as_chunks().0.into()),
         };
         let stored = patch.blocks.len() / BLOCKS;
         patch.table.iter().all(|&entry| entry as usize <= stored).then_some(patch)
@@ -38,22 +42,38 @@ impl Patch {
 
     /// Bytes of its arrays.
     pub(super) fn held_bytes(&self) -> usize {
-        let Self { positions, side: _, table, blocks } = self;
-        size_of_val(&**positions) + size_of_val(&**table) + size_of_val(&**blocks)
+        let Self { positions, side: _, table, blocks, normals } = self;
+        let normals = normals.as_ref().map_or(0, |normals| size_of_val(&**normals));
+        size_of_val(&**positions) + size_of_val(&**table) + size_of_val(&**blocks) + normals
     }
 
-    /// The colour of a pixel, sRGB-encoded, if its tile is stored.
-    fn pixel(&self, [x, y]: [u32; 2]) -> Option<[u8; 3]> {
+    /// The linear colour of a pixel, if its tile is stored; lit again if it has a normal.
+    fn pixel(
+        &self,
+        textures: &Textures,
+        [x, y]: [u32; 2],
+        relight: Option<&Relight>,
+    ) -> Option<[f32; 3]> {
         let entry = self.table[(y / TILE * (self.side / TILE) + x / TILE) as usize];
         let place = entry.checked_sub(1)? as usize;
-        let block = y % TILE / 4 * (TILE / 4) + x % TILE / 4;
-        Some(bc1_pixel(self.blocks[place * BLOCKS + block as usize], x % 4, y % 4))
+        let block = place * BLOCKS + (y % TILE / 4 * (TILE / 4) + x % TILE / 4) as usize;
+        let stored = textures.linear(bc1_pixel(self.blocks[block], x % 4, y % 4));
+        let Some((relight, normals)) = relight.zip(self.normals.as_ref()) else {
+            return Some(stored);
+        };
+        let factor = relight.factor(normal_pixel(normals[block], x % 4, y % 4));
+        Some(stored.map(|c| c * factor))
     }
 
     /// Linear colour at a place in pixels from the picture's top left corner: the bilinear filter of
     /// `shaders/projected.wgsl`. What is not stored shows the nearest of the four pixels that is; black
     /// where none is.
-    pub(super) fn sample(&self, textures: &Textures, place: [f32; 2]) -> [f32; 3] {
+    pub(super) fn sample(
+        &self,
+        textures: &Textures,
+        place: [f32; 2],
+        relight: Option<&Relight>,
+    ) -> [f32; 3] {
         let last = self.side as i32 - 1;
         let axis = |coordinate: f32| {
             // NaN becomes 0.
@@ -67,8 +87,9 @@ impl Patch {
         let (mut sum, mut stored) = ([0.0f32; 3], 0.0f32);
         let (mut nearest, mut most) = ([0.0; 3], -1.0);
         for (x, y) in [(0, 0), (1, 0), (0, 1), (1, 1)] {
-            let Some(rgb) = self.pixel([columns.0[x], rows.0[y]]) else { continue };
-            let (color, weight) = (textures.linear(rgb), columns.1[x] * rows.1[y]);
+            let at = [columns.0[x], rows.0[y]];
+            let Some(color) = self.pixel(textures, at, relight) else { continue };
+            let weight = columns.1[x] * rows.1[y];
             if weight > most {
                 (nearest, most) = (color, weight);
             }
@@ -94,14 +115,15 @@ mod tests {
         }
         let table: Vec<u8> = table.iter().flat_map(|entry| entry.to_le_bytes()).collect();
         let (vertices, indices) = (&[][..], &[][..]);
-        let parts = projected::Patch { side: 32, vertices, indices, table: &table, tiles: &tiles };
+        let (table, tiles, normals) = (&table[..], &tiles[..], None);
+        let parts = projected::Patch { side: 32, vertices, indices, table, tiles, normals };
         Patch::read(&parts).expect("a sound patch")
     }
 
     #[test]
     fn no_place_is_out_of_the_picture() {
         let (patch, textures) = (patch([true, true]), Textures::new());
-        let red = |x: f32| patch.sample(&textures, [x, 31.9])[0];
+        let red = |x: f32| patch.sample(&textures, [x, 31.9], None)[0];
         for (at, expected) in [(f32::NAN, 1.0), (f32::NEG_INFINITY, 1.0), (-3.0, 1.0), (0.0, 1.0)] {
             assert_eq!(red(at), expected, "{at}");
         }
@@ -112,7 +134,7 @@ mod tests {
     #[test]
     fn what_is_not_stored_shows_its_nearest_neighbour_that_is() {
         let textures = Textures::new();
-        let red = |patch: &Patch, x: f32| patch.sample(&textures, [x, 7.3])[0];
+        let red = |patch: &Patch, x: f32| patch.sample(&textures, [x, 7.3], None)[0];
         let left = patch([true, false]);
         // Inside, at the border, and beyond it by less than a pixel.
         for (at, expected) in [(3.0, 1.0), (15.75, 1.0), (16.25, 1.0), (17.0, 0.0)] {
@@ -130,6 +152,7 @@ mod tests {
             indices: &[],
             table: &[2, 0, 0, 0],
             tiles: &[0; projected::TILE_BYTES],
+            normals: None,
         };
         assert!(Patch::read(&parts).is_none());
         assert!(Patch::read(&projected::Patch { table: &[1, 0, 0, 0], ..parts }).is_some());

@@ -193,6 +193,12 @@ pub(super) fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
+/// The unit vector along `v`; zero for zero.
+pub(super) fn unit(v: [f64; 3]) -> [f64; 3] {
+    let length = dot(v, v).sqrt();
+    if length > 0.0 { v.map(|c| c / length) } else { [0.0; 3] }
+}
+
 /// Nearest grid coordinate of a pixel coordinate.
 fn on_grid(pixels: f64) -> i32 {
     // The cast truncates; the shift makes every coordinate of the grid positive.

@@ -5,7 +5,8 @@
 
 use super::mesh::{Mesh, Texturing};
 use super::patch::Patch;
-use super::project::{Projection, Rows, apply, cross, dot};
+use super::project::{Projection, Rows, apply, cross, dot, unit};
+use super::relight::{FaceAxes, Relight, Sunlight};
 use super::texture::{Footprint, Textures};
 use crate::backend::{Draw, light};
 use protocol::format::Vertex;
@@ -56,6 +57,8 @@ pub(super) struct Placement {
     clip_from_grid: Rows,
     /// Columns of the linear part's inverse transpose, up to a factor.
     normal_from_mesh: [[f64; 3]; 3],
+    /// Of a projected one.
+    face: FaceAxes,
 }
 
 impl Placement {
@@ -64,6 +67,7 @@ impl Placement {
         Self {
             clip_from_grid: projection.clip_from_grid(draw, is_projected),
             normal_from_mesh: [cross(y, z), cross(z, x), cross(x, y)],
+            face: FaceAxes::of(draw),
         }
     }
 }
@@ -82,8 +86,8 @@ struct Edges([[f64; 3]; 3]);
 enum Look<'a> {
     /// Colours that wait for light.
     Lit(Lit),
-    /// Places in a picture that has all its light, in pixels.
-    Projected([[f32; 2]; 3], &'a Patch),
+    /// Places in a picture that has light, in pixels.
+    Projected([[f32; 2]; 3], &'a Patch, FaceAxes),
 }
 
 struct Lit {
@@ -115,7 +119,8 @@ impl<'a> Surface<'a> {
             None => Look::Lit(Lit::new(placement, mesh, indices)),
             Some(patch) => {
                 let pixels = |c: f64| (c / f64::from(SUBPIXELS)) as f32;
-                Look::Projected(grid.map(|[u, v, _]| [pixels(u), pixels(v)]), patch)
+                let places = grid.map(|[u, v, _]| [pixels(u), pixels(v)]);
+                Look::Projected(places, patch, placement.face)
             }
         };
         Self { edges: Edges([cross(b, c), cross(c, a), cross(a, b)]), look }
@@ -132,19 +137,21 @@ impl<'a> Surface<'a> {
     pub(super) fn color(
         &self,
         textures: &Textures,
-        sun: [f32; 3],
+        sunlight: Sunlight,
         pixel: Pixel,
         ray: [f64; 3],
     ) -> [f32; 4] {
         match &self.look {
             Look::Lit(lit) => {
-                let light = light::intensity(lit.normal(&self.edges, pixel, ray), sun);
+                let normal = lit.normal(&self.edges, pixel, ray);
+                let light = light::intensity(normal, sunlight.sun);
                 let [r, g, b, alpha] = lit.base(&self.edges, textures, pixel);
                 [r * light, g * light, b * light, alpha]
             }
-            Look::Projected(corners, patch) => {
+            Look::Projected(corners, patch, axes) => {
                 let place = blend(corners, barycentric(self.edges.products(pixel.center)));
-                let [r, g, b] = patch.sample(textures, place);
+                let relight = Relight::new(sunlight, axes);
+                let [r, g, b] = patch.sample(textures, place, relight.as_ref());
                 [r, g, b, 1.0]
             }
         }
@@ -230,12 +237,6 @@ fn barycentric(products: [f64; 3]) -> [f32; 3] {
     let inside = products.map(|p| (p / sum).max(0.0));
     let sum: f64 = inside.iter().sum();
     if sum.is_finite() && sum > 0.0 { inside.map(|p| (p / sum) as f32) } else { [1.0 / 3.0; 3] }
-}
-
-/// The unit vector along `v`; zero for zero.
-fn unit(v: [f64; 3]) -> [f64; 3] {
-    let length = dot(v, v).sqrt();
-    if length > 0.0 { v.map(|c| c / length) } else { [0.0; 3] }
 }
 
 #[cfg(test)]
