@@ -234,18 +234,23 @@ impl<'a> Patch<'a> {
 /// in its picture. Channels are widened by repeating their high bits; the two colours between lie at
 /// a third and two thirds, rounded down.
 pub fn bc1_pixel(block: [u8; 8], x: u32, y: u32) -> [u8; 3] {
-    let end = |at: usize| {
+    let [a, b] = bc1_ends(block);
+    mixed(a, b, selector(block, x, y))
+}
+
+/// The end points of a BC1 block.
+pub fn bc1_ends(block: [u8; 8]) -> [[u32; 3]; 2] {
+    [0, 2].map(|at| {
         let bits = u32::from(u16::from_le_bytes([block[at], block[at + 1]]));
         let (r, g, b) = (bits >> 11, bits >> 5 & 63, bits & 31);
         [r << 3 | r >> 2, g << 2 | g >> 4, b << 3 | b >> 2]
-    };
-    selected(end(0), end(2), block, x, y)
+    })
 }
 
 /// A pixel of a block of normals, in the face's axes and not normalised.
 pub fn normal_pixel(block: [u8; 8], x: u32, y: u32) -> [f32; 3] {
     let [a, b] = [0, 2].map(|at| [block[at], block[at + 1]].map(u32::from));
-    from_normal_code(selected(a, b, block, x, y))
+    from_normal_code(mixed(a, b, selector(block, x, y)))
 }
 
 /// The direction of a pair of codes of a block of normals, not normalised.
@@ -253,10 +258,10 @@ pub fn from_normal_code(code: [u8; 2]) -> [f32; 3] {
     from_octahedral(code.map(|code| (f32::from(code) - 128.0) / 127.0))
 }
 
-/// What a block's selector makes of its ends.
-fn selected<const N: usize>(a: [u32; N], b: [u32; N], block: [u8; 8], x: u32, y: u32) -> [u8; N] {
+/// The selector of a pixel of a block.
+pub fn selector(block: [u8; 8], x: u32, y: u32) -> u32 {
     let selectors = u32::from_le_bytes(std::array::from_fn(|k| block[4 + k]));
-    mixed(a, b, selectors >> (2 * (4 * y + x)) & 3)
+    selectors >> (2 * (4 * y + x)) & 3
 }
 
 /// The code between two ends that a selector names: the first, the second, or at a third and two thirds, rounded

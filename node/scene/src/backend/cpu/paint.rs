@@ -56,7 +56,8 @@ impl<'a> Painter<'a> {
 
     /// Writes depth and linear colours of what is solid.
     pub(super) fn paint(&self, depth: &mut Depth, colors: &mut [[f32; 3]], sunlight: Sunlight) {
-        self.shade(depth, colors, |surface, pixel, ray| {
+        self.shade(depth, colors, |surface, pixel| {
+            let ray = || self.ray(pixel);
             let [r, g, b, _] = surface.color(self.textures, sunlight, pixel, ray);
             [r, g, b]
         });
@@ -64,8 +65,8 @@ impl<'a> Painter<'a> {
 
     /// Writes depth and codes of normals of what is solid.
     pub(super) fn paint_normals(&self, depth: &mut Depth, normals: &mut [[u8; 3]]) {
-        self.shade(depth, normals, |surface, pixel, ray| {
-            normal::encode(surface.normal(pixel, ray))
+        self.shade(depth, normals, |surface, pixel| {
+            normal::encode(surface.normal(pixel, || self.ray(pixel)))
         });
     }
 
@@ -74,7 +75,7 @@ impl<'a> Painter<'a> {
         &self,
         depth: &mut Depth,
         pixels: &mut [T],
-        look: impl Fn(&Surface<'a>, Pixel, [f64; 3]) -> T,
+        look: impl Fn(&Surface<'a>, Pixel<'_>) -> T,
     ) {
         if self.draws.is_empty() {
             return;
@@ -89,8 +90,7 @@ impl<'a> Painter<'a> {
         for ((owners, pixels), y) in rows.zip(0..) {
             for ((&owner, seen), x) in owners.iter().zip(pixels).zip(0..) {
                 if owner != NO_OWNER {
-                    let pixel = self.pixel(x, y);
-                    *seen = look(latest.of(owner, self, &placements), pixel, self.ray(pixel));
+                    *seen = look(latest.of(owner, self, &placements), self.pixel(x, y));
                 }
             }
         }
@@ -105,7 +105,7 @@ impl<'a> Painter<'a> {
                 let pixel = self.pixel(x, span.y);
                 let surface = latest.of(owner, self, &placements);
                 let [r, g, b, alpha] =
-                    surface.color(self.textures, sunlight, pixel, self.ray(pixel));
+                    surface.color(self.textures, sunlight, pixel, || self.ray(pixel));
                 for (under, over) in colors[at].iter_mut().zip([r, g, b]) {
                     *under += (over - *under) * alpha;
                 }
@@ -145,7 +145,7 @@ impl<'a> Painter<'a> {
     }
 
     /// Direction in which a pixel's centre lies from the eye, of any length.
-    fn ray(&self, pixel: Pixel) -> [f64; 3] {
+    fn ray(&self, pixel: Pixel<'_>) -> [f64; 3] {
         let [x, y] = pixel.center;
         self.eye_from_clip.map(|[a, b, c]| a * x + b * y + c)
     }
@@ -157,11 +157,8 @@ impl<'a> Painter<'a> {
             .collect()
     }
 
-    fn pixel(&self, x: u32, y: u32) -> Pixel {
-        let center = |x, y| self.projection.pixel_center(x, y);
-        let [left, upper] = center(x & !1, y & !1);
-        let [right, lower] = center(x | 1, y | 1);
-        Pixel { center: center(x, y), block: [[left, right], [upper, lower]] }
+    fn pixel(&self, x: u32, y: u32) -> Pixel<'_> {
+        Pixel::new(self.projection, [x, y])
     }
 
     /// Indices of draws with classes: the instances of a blob that follow each other class by class.

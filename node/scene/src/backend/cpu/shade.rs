@@ -86,8 +86,31 @@ struct Edges([[f64; 3]; 3]);
 enum Look<'a> {
     /// Colours that wait for light.
     Lit(Lit),
-    /// Places in a picture that has light, in pixels.
-    Projected([[f32; 2]; 3], &'a Patch, FaceAxes),
+    /// A picture that has light.
+    Projected(Places, &'a Patch, FaceAxes),
+}
+
+/// Places in a picture over the screen, pixels: `u / w` and `v / w`, where all three are linear in normalised device
+/// coordinates.
+struct Places {
+    uv: [[f64; 3]; 2],
+    w: [f64; 3],
+}
+
+impl Places {
+    /// Of a triangle with these edges and places of its corners.
+    fn new(edges: &Edges, corners: [[f64; 2]; 3]) -> Self {
+        let sum = |weights: [f64; 3]| {
+            std::array::from_fn(|k| (0..3).map(|i| edges.0[i][k] * weights[i]).sum())
+        };
+        Self { uv: [0, 1].map(|axis| sum(corners.map(|corner| corner[axis]))), w: sum([1.0; 3]) }
+    }
+
+    /// At a pixel's centre. A snapped pixel may lie a little outside, where the plane of the triangle goes on.
+    fn at(&self, [x, y]: [f64; 2]) -> [f32; 2] {
+        let share = 1.0 / dot(self.w, [x, y, 1.0]);
+        self.uv.map(|of| (dot(of, [x, y, 1.0]) * share) as f32)
+    }
 }
 
 struct Lit {
@@ -99,12 +122,26 @@ struct Lit {
 }
 
 /// A pixel as surfaces see it.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Pixel {
+#[derive(Clone, Copy)]
+pub(super) struct Pixel<'a> {
+    projection: &'a Projection,
+    at: [u32; 2],
     /// Normalised device coordinates of its centre.
     pub(super) center: [f64; 2],
+}
+
+impl<'a> Pixel<'a> {
+    pub(super) fn new(projection: &'a Projection, at: [u32; 2]) -> Self {
+        Self { projection, at, center: projection.pixel_center(at[0], at[1]) }
+    }
+
     /// Columns and rows of its block of two by two, left and upper first, in the same coordinates.
-    pub(super) block: [[f64; 2]; 2],
+    fn block(&self) -> [[f64; 2]; 2] {
+        let [x, y] = self.at;
+        let [left, upper] = self.projection.pixel_center(x & !1, y & !1);
+        let [right, lower] = self.projection.pixel_center(x | 1, y | 1);
+        [[left, right], [upper, lower]]
+    }
 }
 
 impl<'a> Surface<'a> {
@@ -115,19 +152,20 @@ impl<'a> Surface<'a> {
             let [x, y, w, _] = apply(&placement.clip_from_grid, grid);
             [x, y, w]
         });
+        let edges = Edges([cross(b, c), cross(c, a), cross(a, b)]);
         let look = match &mesh.patch {
             None => Look::Lit(Lit::new(placement, mesh, indices)),
             Some(patch) => {
-                let pixels = |c: f64| (c / f64::from(SUBPIXELS)) as f32;
+                let pixels = |c: f64| c / f64::from(SUBPIXELS);
                 let places = grid.map(|[u, v, _]| [pixels(u), pixels(v)]);
-                Look::Projected(places, patch, placement.face)
+                Look::Projected(Places::new(&edges, places), patch, placement.face)
             }
         };
-        Self { edges: Edges([cross(b, c), cross(c, a), cross(a, b)]), look }
+        Self { edges, look }
     }
 
     /// Whether a masked triangle is there.
-    pub(super) fn is_there(&self, textures: &Textures, pixel: Pixel) -> bool {
+    pub(super) fn is_there(&self, textures: &Textures, pixel: Pixel<'_>) -> bool {
         let Look::Lit(lit) = &self.look else { return true };
         let cutoff = lit.texturing.as_ref().map_or(0.0, |corners| corners[0].cutoff);
         lit.base(&self.edges, textures, pixel)[3] >= cutoff
@@ -138,18 +176,18 @@ impl<'a> Surface<'a> {
         &self,
         textures: &Textures,
         sunlight: Sunlight,
-        pixel: Pixel,
-        ray: [f64; 3],
+        pixel: Pixel<'_>,
+        ray: impl FnOnce() -> [f64; 3],
     ) -> [f32; 4] {
         match &self.look {
             Look::Lit(lit) => {
-                let normal = lit.normal(&self.edges, pixel, ray);
+                let normal = lit.normal(&self.edges, pixel, ray());
                 let light = light::intensity(normal, sunlight.sun);
                 let [r, g, b, alpha] = lit.base(&self.edges, textures, pixel);
                 [r * light, g * light, b * light, alpha]
             }
-            Look::Projected(corners, patch, axes) => {
-                let place = blend(corners, barycentric(self.edges.products(pixel.center)));
+            Look::Projected(places, patch, axes) => {
+                let place = places.at(pixel.center);
                 let relight = Relight::new(sunlight, axes);
                 let [r, g, b] = patch.sample(textures, place, relight.as_ref());
                 [r, g, b, 1.0]
@@ -158,9 +196,9 @@ impl<'a> Surface<'a> {
     }
 
     /// Unit normal that faces the viewer along `ray`; zero where there is none.
-    pub(super) fn normal(&self, pixel: Pixel, ray: [f64; 3]) -> [f32; 3] {
+    pub(super) fn normal(&self, pixel: Pixel<'_>, ray: impl FnOnce() -> [f64; 3]) -> [f32; 3] {
         match &self.look {
-            Look::Lit(lit) => lit.normal(&self.edges, pixel, ray),
+            Look::Lit(lit) => lit.normal(&self.edges, pixel, ray()),
             Look::Projected(..) => [0.0; 3],
         }
     }
@@ -190,7 +228,7 @@ impl Lit {
     }
 
     /// Linear colour and alpha before any light.
-    fn base(&self, edges: &Edges, textures: &Textures, pixel: Pixel) -> [f32; 4] {
+    fn base(&self, edges: &Edges, textures: &Textures, pixel: Pixel<'_>) -> [f32; 4] {
         let color = blend(&self.colors, barycentric(edges.products(pixel.center)));
         let Some(corners) = &self.texturing else { return color };
         // Off the triangle too: its plane goes on, where the nearest corner would shorten the step.
@@ -201,7 +239,7 @@ impl Lit {
                 (0..3).map(|i| products[i] / sum * f64::from(corners[i].tex_coord[k])).sum()
             })
         };
-        let ([x, y], [columns, rows]) = (pixel.center, pixel.block);
+        let ([x, y], [columns, rows]) = (pixel.center, pixel.block());
         // Both pixels of a pair have the step between them, as they have with graphics drivers.
         let step = |from: [f64; 2], to: [f64; 2]| {
             let (from, to) = (tex_coord(from), tex_coord(to));
@@ -217,7 +255,7 @@ impl Lit {
     }
 
     /// Unit normal that faces the viewer, zero where corners have none.
-    fn normal(&self, edges: &Edges, pixel: Pixel, ray: [f64; 3]) -> [f32; 3] {
+    fn normal(&self, edges: &Edges, pixel: Pixel<'_>, ray: [f64; 3]) -> [f32; 3] {
         let weights = barycentric(edges.products(pixel.center));
         let mut normal = unit(blend(&self.normals, weights).map(f64::from));
         if dot(normal, ray) > 0.0 {
