@@ -28,12 +28,7 @@ struct Place {
 
 impl Place {
     fn new() -> Self {
-        Self::of(100_000)
-    }
-
-    /// In a plant of so many triangles.
-    fn of(triangles: u64) -> Self {
-        let scene = Scene::synth("plant", triangles);
+        let scene = Scene::synth("plant", 100_000);
         let poses = |seed| {
             let csv = std::fs::read_to_string(scene.path_by_seed("walk", 240, seed)).unwrap();
             csv.lines().map(str::to_owned).collect::<Vec<_>>()
@@ -354,9 +349,9 @@ fn a_bake_gives_the_same_bytes_and_replaces_what_was_there() {
 
 #[test]
 fn a_cell_that_is_cheaper_as_geometry_gets_no_cubes_and_says_so() {
-    let place = Place::of(20_000);
+    let place = Place::new();
     let occ = place.scene.file("far.occ");
-    let output = succeed(&place.bake(&place.plain, &occ, "itdm", &["--far-side", "256", "--json"]));
+    let output = succeed(&place.bake(&place.plain, &occ, "itdm", &["--far-side", "512", "--json"]));
     let summary: Value = serde_json::from_slice(&output.stdout).unwrap();
     let cell = &summary["cells"][0];
     let triangles = |key: &str| cell[key].as_u64().unwrap();
