@@ -5,12 +5,12 @@
 //! samples, never on the number of threads.
 
 use crate::progress::Progress;
-use farfield::capture::{CaptureError, Studio};
+use farfield::capture::{CaptureError, OfCell, Studio};
 pub use farfield::cells::CELL_TRIANGLES as DEFAULT_CELL_TRIANGLES;
 use farfield::cells::{Cell, Division, cells_along, up_axis};
 use farfield::cube::{BakedCube, BakedFace, Viewpoints};
 use farfield::patches::BakedPatch;
-use farfield::placement::{self, Region, Source};
+use farfield::placement;
 use farfield::sample::Sample;
 use farfield::{itdm, tdm};
 use glam::DVec3;
@@ -236,7 +236,7 @@ fn far_field(
     search: &mut Studio<'_>,
     fine: &mut Studio<'_>,
 ) -> Result<FarFieldOf, FarError> {
-    let region = region(cell, settings, up_axis(skeleton));
+    let region = cell.region(up_axis(skeleton), settings.in_space);
     let viewpoints = Viewpoints { min: cell.min, max: cell.max };
     let placing = Instant::now();
     let (eyes, objective) = match settings.method {
@@ -247,7 +247,7 @@ fn far_field(
                 budget: settings.samples,
                 ..placement::Settings::default()
             };
-            let mut source = OfCell { studio: search, cell };
+            let mut source = OfCell { studio: search, near: &cell.near };
             let placed = placement::place(&region, &how, &mut source)?;
             let eyes = placed.samples.iter().map(|(sample, _)| sample.eye).collect();
             (eyes, placed.worst_sr)
@@ -285,32 +285,6 @@ fn far_field(
         seconds: [placed, sampled, encoding.elapsed().as_secs_f64()],
     };
     Ok(FarFieldOf { cubes, summary })
-}
-
-/// Where samples may be taken: at the height of the viewpoints given, or anywhere.
-fn region(cell: &Cell, settings: &Settings, up: usize) -> Region {
-    if settings.in_space {
-        return Region::Box { min: cell.min, max: cell.max };
-    }
-    let heights = cell.viewpoints.iter().map(|viewpoint| viewpoint[up]);
-    let height = heights.sum::<f64>() / cell.viewpoints.len() as f64;
-    let (mut min, mut max) = (cell.min, cell.max);
-    (min[up], max[up]) = (height, height);
-    Region::Rectangle { min, max, up }
-}
-
-/// Samples of one cell's far field.
-struct OfCell<'s, 'a> {
-    studio: &'s mut Studio<'a>,
-    cell: &'s Cell,
-}
-
-impl Source for OfCell<'_, '_> {
-    type Error = CaptureError;
-
-    fn sample(&mut self, eye: DVec3) -> Result<Sample, CaptureError> {
-        self.studio.sample(eye, &self.cell.near)
-    }
 }
 
 /// The vertices that indices name, in the order they do, and the indices into those.

@@ -9,11 +9,10 @@
 //! none. Between two numbers of samples nothing is interpolated.
 
 use coordinator::camera_path::{PathKind, generate};
-use farfield::capture::{CaptureError, Studio};
+use farfield::capture::{CaptureError, OfCell, Studio};
 use farfield::cells::{Cell, Division, cells_along, up_axis};
 use farfield::objective::Group;
 use farfield::placement::{Region, Settings, Source, place};
-use farfield::sample::Sample;
 use glam::DVec3;
 use protocol::camera::near_plane;
 use protocol::settings::PictureSize;
@@ -197,11 +196,11 @@ fn measure(
     studio: &mut Studio<'_>,
     args: &Args,
 ) -> Result<Found, CaptureError> {
-    let region = region(cell, up, args.in_space);
-    let axes: Vec<usize> = (0..3).filter(|&axis| args.in_space || axis != up).collect();
+    let region = cell.region(up, args.in_space);
+    let axes = region.axes();
     let judges = judges(&region, &axes);
     let settings = Settings { epsilon_sr: 0.0, budget: args.samples, ..Settings::default() };
-    let mut source = OfCell { studio, cell };
+    let mut source = OfCell { studio, near: &cell.near };
     let began = Instant::now();
     let placed = place(&region, &settings, &mut source)?;
     let took = began.elapsed().as_secs_f64();
@@ -232,27 +231,9 @@ fn measure(
     Ok(found)
 }
 
-/// Where viewpoints are: at the mean height of those of the walk, or anywhere.
-fn region(cell: &Cell, up: usize, in_space: bool) -> Region {
-    let (mut min, mut max) = (cell.min, cell.max);
-    if in_space {
-        return Region::Box { min, max };
-    }
-    let heights = cell.viewpoints.iter().map(|viewpoint| viewpoint[up]);
-    let height = heights.sum::<f64>() / cell.viewpoints.len() as f64;
-    (min[up], max[up]) = (height, height);
-    Region::Rectangle { min, max, up }
-}
-
-fn bounds(region: &Region) -> (DVec3, DVec3) {
-    match *region {
-        Region::Rectangle { min, max, .. } | Region::Box { min, max } => (min, max),
-    }
-}
-
 /// From where F is looked at: one place in each field of a fine grid, by chance.
 fn judges(region: &Region, axes: &[usize]) -> Vec<DVec3> {
-    let (min, max) = bounds(region);
+    let (min, max) = region.bounds();
     let count = JUDGES[axes.len() - 2];
     let mut random = StdRng::seed_from_u64(SEED);
     let place = |rest: usize| {
@@ -271,7 +252,7 @@ fn judges(region: &Region, axes: &[usize]) -> Vec<DVec3> {
 /// Numbers of samples along each axis, of no more than `most` samples in all: the same along all axes, or one more along the
 /// longest. Each from border to border, and in the middles of fields.
 fn grids_up_to(most: usize, region: &Region, axes: &[usize]) -> Vec<(Vec<usize>, bool)> {
-    let (min, max) = bounds(region);
+    let (min, max) = region.bounds();
     let size = max - min;
     let longest = axes.iter().copied().max_by(|&a, &b| size[a].total_cmp(&size[b]));
     let of = |k: usize, more: usize| -> Vec<usize> {
@@ -283,7 +264,7 @@ fn grids_up_to(most: usize, region: &Region, axes: &[usize]) -> Vec<(Vec<usize>,
 }
 
 fn grid(region: &Region, axes: &[usize], counts: &[usize], in_fields: bool) -> Vec<DVec3> {
-    let (min, max) = bounds(region);
+    let (min, max) = region.bounds();
     let eye = |rest: usize| {
         let mut rest = rest;
         let mut eye = min;
@@ -304,17 +285,4 @@ fn score(group: &Group, judges: &[DVec3], side: u32) -> Score {
     let max = seen.iter().copied().fold(0.0, f64::max);
     let mean = seen.iter().sum::<f64>() / seen.len() as f64;
     Score { samples: group.samples().count(), max, mean }
-}
-
-struct OfCell<'s, 'a> {
-    studio: &'s mut Studio<'a>,
-    cell: &'s Cell,
-}
-
-impl Source for OfCell<'_, '_> {
-    type Error = CaptureError;
-
-    fn sample(&mut self, eye: DVec3) -> Result<Sample, CaptureError> {
-        self.studio.sample(eye, &self.cell.near)
-    }
 }

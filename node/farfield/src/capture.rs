@@ -1,6 +1,7 @@
 //! Takes samples through a backend (paper 000, section 3.1): six pictures with depth, of the far field
 //! alone, at less than half a pixel of error.
 
+use crate::placement::Source;
 use crate::sample::{FACES, FaceAxes, FacePicture, Sample};
 use glam::DVec3;
 use protocol::camera::Camera;
@@ -169,6 +170,22 @@ impl<'a> Studio<'a> {
         }
         self.residency.insert(blob, self.now, false);
         Ok(())
+    }
+}
+
+/// Samples of the far field beside one near field.
+pub struct OfCell<'s, 'a> {
+    /// Where they are taken.
+    pub studio: &'s mut Studio<'a>,
+    /// What they leave out.
+    pub near: &'s NearField,
+}
+
+impl Source for OfCell<'_, '_> {
+    type Error = CaptureError;
+
+    fn sample(&mut self, eye: DVec3) -> Result<Sample, CaptureError> {
+        self.studio.sample(eye, self.near)
     }
 }
 

@@ -1,5 +1,6 @@
 //! View cells: regions of viewpoints that share a far field (paper 000, sections 3.1.1 and 5.1).
 
+use crate::placement::Region;
 use glam::DVec3;
 use protocol::format::Skeleton;
 use scene::near_field::NearField;
@@ -37,6 +38,21 @@ pub struct Cell {
     pub near: NearField,
     /// Those of the viewpoints asked for that lie in it.
     pub viewpoints: Vec<DVec3>,
+}
+
+impl Cell {
+    /// Where samples may be taken: at the mean height of its viewpoints, `up` being the axis, or anywhere
+    /// (`in_space`).
+    pub fn region(&self, up: usize, in_space: bool) -> Region {
+        let (mut min, mut max) = (self.min, self.max);
+        if in_space {
+            return Region::Box { min, max };
+        }
+        let heights = self.viewpoints.iter().map(|viewpoint| viewpoint[up]);
+        let height = heights.sum::<f64>() / self.viewpoints.len() as f64;
+        (min[up], max[up]) = (height, height);
+        Region::Rectangle { min, max, up }
+    }
 }
 
 /// The cells that hold `viewpoints`, each once, in the order of the octree over the scene's box. Viewpoints

@@ -68,9 +68,9 @@ impl Cubes {
 
     /// The patches of a cube: face, number and record.
     fn patches(&self, cube: &Cube) -> impl Iterator<Item = (usize, BlobId, &Blob)> {
-        let of_face = |face: usize| cube.patches_of(face).map(move |blob| (face, BlobId(blob)));
-        let all: Vec<_> = (0..6).flat_map(of_face).collect();
-        all.into_iter().map(|(face, blob)| (face, blob, self.skeleton.blob(blob)))
+        let of_face = |face| cube.patches_of(face).map(move |blob| (face, BlobId(blob)));
+        let all = (0..FACES.len()).flat_map(of_face);
+        all.map(|(face, blob)| (face, blob, self.skeleton.blob(blob)))
     }
 }
 

@@ -37,7 +37,8 @@ pub enum Region {
 }
 
 impl Region {
-    fn bounds(&self) -> (DVec3, DVec3) {
+    /// Least and greatest coordinates.
+    pub fn bounds(&self) -> (DVec3, DVec3) {
         match *self {
             Self::Rectangle { min, max, .. } | Self::Box { min, max } => (min, max),
         }
@@ -55,7 +56,7 @@ impl Region {
     }
 
     /// The axes along which viewpoints differ.
-    fn axes(&self) -> Vec<usize> {
+    pub fn axes(&self) -> Vec<usize> {
         match *self {
             Self::Rectangle { up, .. } => (0..3).filter(|&axis| axis != up).collect(),
             Self::Box { .. } => vec![0, 1, 2],

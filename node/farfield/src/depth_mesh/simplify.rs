@@ -25,8 +25,8 @@ const ROUNDS: [f64; 16] =
     [0.9, 0.9, 0.9, 0.9, 0.9, 0.9, 0.9, 0.9, 0.9, 0.9, 0.9, 0.9, 0.6, 0.6, 0.3, 0.3];
 /// Pixels beyond the distance of a point that strays in which vertices are held.
 const HELD_PX: f64 = 0.5;
-/// What is added to them in each round, so that what strays again is held more firmly; from the fourth on
-/// around the corners of a triangle that strays, too.
+/// What is added to them in each round, so that what strays again is held more firmly; from the third on
+/// the corners of a triangle that strays, too.
 const MORE_HELD_PX: f64 = 0.5;
 
 /// What a mesh is simplified for.
@@ -83,7 +83,7 @@ pub fn simplified(dense: &DenseMesh, purpose: &Purpose) -> FaceMesh {
     let mut open = weld(&whole, Weld { depth: 1, ..Weld::within(0.0) });
     let reference = Reference::new(&open, &dense.pixels, side);
     let places = Places::new(&open.vertices, side);
-    let mut done = Mesh { vertices: open.vertices.clone(), triangles: Vec::new() };
+    let mut done = Vec::new();
     let mut error_px = 0.0f64;
     for (round, share) in ROUNDS.into_iter().enumerate() {
         if open.triangles.is_empty() {
@@ -93,7 +93,7 @@ pub fn simplified(dense: &DenseMesh, purpose: &Purpose) -> FaceMesh {
         let there = reference.there(&fewer, tolerance_px);
         let back = reference.back(&open.triangles, &fewer, tolerance_px);
         let more = MORE_HELD_PX * round as f64;
-        let mut strays = vec![false; done.vertices.len()];
+        let mut strays = vec![false; open.vertices.len()];
         for (triangles, Deviation { bound, strays: points }) in
             [(&fewer, there), (&open.triangles, back)]
         {
@@ -101,18 +101,18 @@ pub fn simplified(dense: &DenseMesh, purpose: &Purpose) -> FaceMesh {
             for point in points {
                 let corners = triangles[point.triangle as usize];
                 strays[reference.sheet(corners)] = true;
-                let at = corners.map(|corner| done.vertices[corner as usize].position);
+                let at = corners.map(|corner| open.vertices[corner as usize].position);
                 let around_corners = at.into_iter().flat_map(|at| places.near(at, more - 1.0));
                 let around = places.near(point.at, point.distance + HELD_PX + more);
                 around.chain(around_corners).for_each(|v| open.locked[v as usize] = true);
             }
         }
         let strays = |triangle: &[u32; 3]| strays[reference.sheet(*triangle)];
-        done.triangles.extend(fewer.iter().filter(|triangle| !strays(triangle)));
+        done.extend(fewer.iter().filter(|triangle| !strays(triangle)));
         open.triangles.retain(strays);
     }
-    done.triangles.append(&mut open.triangles);
-    stored(&done, parallax, step, error_px)
+    done.append(&mut open.triangles);
+    stored(&Mesh { vertices: open.vertices, triangles: done }, parallax, step, error_px)
 }
 
 /// The vertices that are used, on the grid.
