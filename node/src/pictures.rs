@@ -41,7 +41,8 @@ struct Order {
     rgba: Vec<u8>,
 }
 
-/// The writer: pictures in, files out, in order.
+/// The writer: pictures in, files out, in order. Dropped, it writes what is queued, so that a process
+/// which leaves in good order leaves no half-written file.
 pub struct PictureWriter {
     size: PictureSize,
     orders: Option<crossbeam_channel::Sender<Order>>,
@@ -80,6 +81,14 @@ impl PictureWriter {
             None => Ok(()),
             Some(Ok(result)) => result,
             Some(Err(_)) => Err(PictureError::Gone),
+        }
+    }
+}
+
+impl Drop for PictureWriter {
+    fn drop(&mut self) {
+        if let Err(error) = self.finish() {
+            tracing::warn!("{error}");
         }
     }
 }
@@ -163,6 +172,19 @@ mod tests {
         assert_eq!(names(folder.path()).len(), 9);
         let image = image::open(folder.path().join("000008.png")).unwrap();
         assert_eq!(image.to_rgba8().into_raw(), rgba);
+    }
+
+    #[test]
+    fn a_writer_that_is_dropped_ends_its_files_first() {
+        let folder = tempfile::tempdir().unwrap();
+        let size = PictureSize { width: 1000, height: 700 };
+        let mut writer = PictureWriter::start(folder.path().into(), size).unwrap();
+        for frame in 0..3 {
+            let noise = |at: u32| at.wrapping_mul(2_654_435_761).to_be_bytes();
+            writer.write(FrameIndex(frame), (0..700_000).flat_map(noise).collect()).unwrap();
+        }
+        drop(writer);
+        assert_eq!(names(folder.path()), ["000000.png", "000001.png", "000002.png"]);
     }
 
     #[test]

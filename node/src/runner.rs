@@ -285,31 +285,43 @@ impl Runner {
         }
     }
 
-    /// Flushes pictures, then waits until the coordinator hangs up: a socket closed with bytes unread
-    /// is reset, which could cost the other end this node's last words.
+    /// Lets the render thread end what it is at, its pictures included, and waits until the coordinator
+    /// hangs up: a socket closed with bytes unread is reset, which could cost the other end this node's
+    /// last words. A failure is told before the thread ends, success after it.
     async fn leave(
         mut self,
         mut events: mpsc::Receiver<Event>,
         outcome: Result<(), NodeError>,
     ) -> Result<(), NodeError> {
-        let flushed = match outcome {
-            Ok(()) => self.worker.finish().await,
-            Err(error) => Err(error),
-        };
-        if let Some(control) = self.links.get_mut(&Peer::Coordinator) {
-            control.hang_up().await;
-        }
-        let farewell = async {
+        let farewell = async move {
             while let Some(event) = events.recv().await {
                 if matches!(event, Event::Closed(Peer::Coordinator)) {
                     break;
                 }
             }
         };
-        if self.links.contains_key(&Peer::Coordinator) {
-            // A coordinator that never hangs up is left all the same.
+        let linked = self.links.contains_key(&Peer::Coordinator);
+        if let Err(error) = outcome {
+            self.hang_up().await;
+            // A coordinator that never hangs up is left all the same, and so is a render thread that
+            // never ends; what the thread still says nobody hears.
+            let _ = tokio::join!(
+                tokio::time::timeout(FAREWELL, self.worker.finish()),
+                tokio::time::timeout(if linked { FAREWELL } else { Duration::ZERO }, farewell),
+            );
+            return Err(error);
+        }
+        let flushed = self.worker.finish().await;
+        self.hang_up().await;
+        if linked {
             let _ = tokio::time::timeout(FAREWELL, farewell).await;
         }
         flushed
+    }
+
+    async fn hang_up(&mut self) {
+        if let Some(control) = self.links.get_mut(&Peer::Coordinator) {
+            control.hang_up().await;
+        }
     }
 }
