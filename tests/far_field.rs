@@ -276,6 +276,67 @@ fn more_cubes_cost_more_and_are_not_worse_and_budgets_are_kept() {
     assert_eq!(single, one, "one cube is always there");
 }
 
+/// Root of the mean squared change of a channel from a frame to the next.
+fn change(run: &Run, frame: usize) -> f64 {
+    let picture = |frame: usize| {
+        let file = run.out.join(format!("frames/{frame:06}.png"));
+        image::open(file).unwrap().to_rgb8().into_raw()
+    };
+    let (a, b) = (picture(frame), picture(frame + 1));
+    let squares = a.iter().zip(&b).map(|(a, b)| f64::from(a.abs_diff(*b)).powi(2));
+    (squares.sum::<f64>() / a.len() as f64).sqrt()
+}
+
+#[test]
+fn from_cell_to_cell_no_picture_jumps() {
+    let mut place = Place::with("itdm", "128");
+    let store = Store::open(&place.scene.occ).unwrap();
+    let cell = store.skeleton().view_cells[0];
+    let csv = std::fs::read_to_string(&place.along).unwrap();
+    let mut lines = csv.lines();
+    let header = lines.next().unwrap();
+    let pose: Vec<f64> = lines.next().unwrap().split(',').map(|n| n.parse().unwrap()).collect();
+    // Through a side that another cell lies behind.
+    let side = cell.max[0] - cell.min[0];
+    let is_last = cell.max[0] >= store.skeleton().hlods[0].max[0];
+    let (border, outwards) = if is_last { (cell.min[0], -side) } else { (cell.max[0], side) };
+    // Pairs of eyes a millionth of it apart: on the border, and where the margins end.
+    let ends = [0.0, -1.0, 1.0].map(|share| share * f64::from(cell.margin));
+    let pairs = ends.iter().flat_map(|&at| [at - 5e-7, at + 5e-7]);
+    let steps = (-10..=10).map(|at| f64::from(at) / 200.0);
+    let through = |at: f64| {
+        let mut pose = pose.clone();
+        pose[0] = border + at * outwards;
+        (pose[3], pose[4], pose[5]) = (pose[0] + 0.6, pose[1], pose[2] - 0.8);
+        pose.iter().map(f64::to_string).collect::<Vec<_>>().join(",")
+    };
+    let lines: Vec<String> = pairs.chain(steps).map(through).collect();
+    std::fs::write(&place.path, format!("{header}\n{}\n", lines.join("\n"))).unwrap();
+    let both = place.scene.file("both.occ");
+    let along = ["--cells-along", text(&place.path), "--far-side", "128"];
+    succeed(&place.bake(&place.plain, &both, "itdm", &along));
+    assert_eq!(number(&inspect(&both), "/far_fields/itdm"), 2);
+    place.scene.occ = both;
+
+    for backend in backends() {
+        let of = |name: &str, options: &[&str]| {
+            let mut all = vec!["--backend", backend, "--far", "itdm"];
+            all.extend(options);
+            place.replay(&format!("{backend}-{name}"), &all)
+        };
+        let mixed = of("mixed", &["--audit", "every=1", "--pictures", "png"]);
+        mixed.assert_audited(backend);
+        let uncut = of("uncut", &["--cull", "off", "--processes", "1", "--schedule", "rotate"]);
+        assert_eq!(uncut.hashes(), mixed.hashes(), "{backend}");
+        let jumps = [0, 2, 4].map(|frame| change(&mixed, frame));
+        assert!(jumps.iter().all(|&jump| jump < 0.5), "{backend}: {jumps:?} steps of a channel");
+        assert!((6..26).all(|frame| change(&mixed, frame) > 0.5), "{backend}: nothing to be seen");
+        // On the border both cells' cubes are drawn.
+        let far = far(&mixed);
+        assert!(far[0] > far[2].max(far[5]) && far[2].min(far[5]) > 0, "{backend}: {far:?}");
+    }
+}
+
 #[test]
 fn under_a_cap_the_pictures_are_the_same_and_nothing_late_is_waited_for() {
     let place = Place::with("itdm", "128");

@@ -14,8 +14,8 @@
 mod support;
 
 use image::{Rgb, RgbImage};
-use scene::near_field::Cells;
 use scene::store::Store;
+use scene::view_cells::Cells;
 use support::{Run, Scene, real_scene, succeed, text};
 
 /// Triangles of the plant: the paper's.
@@ -150,7 +150,8 @@ fn measure(name: &str, scene: &mut Scene) {
     borders(scene, &lines[1..], &runs[3], runs.last().unwrap());
 }
 
-/// Prints how much the picture changes where the eye goes from one cell to another.
+/// Prints how much the picture changes where the eye goes from one cell to another, and where it changes most beside what
+/// geometry does.
 fn borders(scene: &Scene, poses: &[&str], geometry: &Run, cubes: &Run) {
     let store = Store::open(&scene.occ).unwrap();
     let method = protocol::format::Method::Itdm as u32;
@@ -168,6 +169,14 @@ fn borders(scene: &Scene, poses: &[&str], geometry: &Run, cubes: &Run) {
             at[frame + 1],
             ratio(cubes),
             ratio(geometry),
+        );
+    }
+    let beside = |frame: usize| change(cubes, frame) / change(geometry, frame);
+    let worst =
+        (0..at.len() - 1).map(|frame| (beside(frame), frame)).max_by(|a, b| a.0.total_cmp(&b.0));
+    if let Some((most, frame)) = worst {
+        println!(
+            "no picture changes more than {most:.2} times as much as with geometry (frame {frame})"
         );
     }
 }

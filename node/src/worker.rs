@@ -178,11 +178,12 @@ fn serve(
                 let Measured { audit, hlods_with_pixels, stand_in_error_px } =
                     audit::measure(&mut stage, &camera, &drawn, audited, counted)?;
                 let mut counts = drawn.counts;
+                let rgba = drawn.into_rgba();
                 (counts.audit, counts.hlods_with_pixels) = (audit, hlods_with_pixels);
                 counts.missing.error_px = stand_in_error_px;
-                counts.picture_hash = Some(role::picture_hash(&drawn.picture.rgba));
+                counts.picture_hash = Some(role::picture_hash(&rgba));
                 if let Some(pictures) = &mut pictures {
-                    pictures.write(frame, drawn.picture.rgba)?;
+                    pictures.write(frame, rgba)?;
                 }
                 counts.measuring_ns = clock.now() - measuring;
                 // Loading for the audit's sake is not the role's.

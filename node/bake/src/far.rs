@@ -7,7 +7,7 @@
 use crate::progress::Progress;
 use farfield::capture::{CaptureError, OfCell, Studio};
 pub use farfield::cells::CELL_TRIANGLES as DEFAULT_CELL_TRIANGLES;
-use farfield::cells::{Cell, Division, cells_along, up_axis};
+use farfield::cells::{Cell, Division, MARGIN, cells_along, up_axis};
 use farfield::cube::{BakedCube, BakedFace, Viewpoints};
 use farfield::patches::BakedPatch;
 use farfield::placement;
@@ -22,6 +22,7 @@ use protocol::format::{
 use protocol::message::FailureKind;
 use protocol::settings::FAR_CUBES;
 use scene::backend::{Backend, BackendError};
+use scene::near_field::with_margin;
 use scene::store::{OpenError, Store, StoreError};
 use serde::Serialize;
 use std::collections::HashMap;
@@ -237,7 +238,8 @@ fn far_field(
     fine: &mut Studio<'_>,
 ) -> Result<FarFieldOf, FarError> {
     let region = cell.region(up_axis(skeleton), settings.in_space);
-    let viewpoints = Viewpoints { min: cell.min, max: cell.max };
+    let [min, max] = with_margin(cell.min.to_array(), cell.max.to_array(), MARGIN).map(DVec3::from);
+    let viewpoints = Viewpoints { min, max };
     let placing = Instant::now();
     let (eyes, objective) = match settings.method {
         Method::Tdm => (region.grid(1), Vec::new()),
@@ -357,7 +359,7 @@ impl<'a> FarFile<'a> {
             first_cube,
             cube_count: cubes.len() as u32,
             method: if summary.kept { settings.method } else { Method::None } as u32,
-            reserved: 0,
+            margin: MARGIN,
             objective: summary.objective.last().copied().unwrap_or(0.0),
         });
         Ok(summary)

@@ -83,7 +83,7 @@ impl<'a> Studio<'a> {
         let size = PictureSize { width: self.side, height: self.side };
         let of_face = |axes: &FaceAxes| -> u64 {
             let camera = self.camera(eye, axes);
-            let front = front_of(skeleton, &camera, size, 1.0, Field::Far(near));
+            let front = front_of(skeleton, &camera, size, 1.0, &Field::Far(near));
             let levels = front.entries.iter().map(|entry| &skeleton.levels[entry.level as usize]);
             levels.map(|level| u64::from(level.triangles)).sum()
         };
@@ -103,7 +103,7 @@ impl<'a> Studio<'a> {
     fn face(&mut self, camera: &Camera, near: &NearField) -> Result<FacePicture, CaptureError> {
         let skeleton = self.store.skeleton();
         let size = PictureSize { width: self.side, height: self.side };
-        let front = front_of(skeleton, camera, size, LOD_PX, Field::Far(near));
+        let front = front_of(skeleton, camera, size, LOD_PX, &Field::Far(near));
         let draws = draw_list(skeleton, &front.entries, camera.eye);
         let view = View::new(camera, size);
         let Picture { rgba, depth } = self.picture(view, Shading::default(), &draws)?;

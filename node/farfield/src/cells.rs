@@ -3,11 +3,17 @@
 use crate::placement::Region;
 use glam::DVec3;
 use protocol::format::Skeleton;
-use scene::near_field::NearField;
+#[cfg(doc)]
+use protocol::format::ViewCell;
+use scene::near_field::{NearField, with_margin};
 use std::collections::BTreeMap;
 
 /// Triangles of a cell's near field above which it is divided.
 pub const CELL_TRIANGLES: u64 = 100_000;
+
+/// Share of its sides by which a cell's near field reaches beyond it ([`ViewCell::margin`]): of cells of 10 m the
+/// last and first 0.3 m, together a step, are the change from one to the next.
+pub const MARGIN: f32 = 1.0 / 32.0;
 
 /// How the scene is divided into cells.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -34,7 +40,7 @@ pub struct Cell {
     pub min: DVec3,
     /// Greatest corner.
     pub max: DVec3,
-    /// What is drawn as geometry from inside it.
+    /// What is drawn as geometry from inside it and its margin.
     pub near: NearField,
     /// Those of the viewpoints asked for that lie in it.
     pub viewpoints: Vec<DVec3>,
@@ -69,7 +75,10 @@ pub fn cells_along(skeleton: &Skeleton, viewpoints: &[DVec3], division: &Divisio
         }
         let (mut path, mut min, mut max) = (Vec::new(), min, max);
         let near = loop {
-            let made = || NearField::new(skeleton, min.to_array(), max.to_array());
+            let made = || {
+                let [min, max] = with_margin(min.to_array(), max.to_array(), MARGIN);
+                NearField::new(skeleton, min, max)
+            };
             let near = known.entry(path.clone()).or_insert_with(made);
             let is_small = near.triangles(skeleton) <= division.most_triangles;
             if is_small || path.len() as u32 >= division.most_depth {

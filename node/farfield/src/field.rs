@@ -10,8 +10,8 @@ use protocol::format::{Blob, Cube, NONE, Skeleton, ViewCell};
 use protocol::id::{BlobId, HlodId};
 use protocol::settings::PictureSize;
 use scene::backend::{Draw, NO_ITEM};
-use scene::near_field::Cells;
 use scene::view::frustum;
+use scene::view_cells::Cells;
 use std::sync::Arc;
 
 /// What stands in for the far fields of a scene.
@@ -20,8 +20,9 @@ pub trait FarField: Send + Sync {
     /// of the cells.
     fn wanted(&self, eye: [f64; 3]) -> Vec<BlobId>;
 
-    /// The draws for a camera, in the order of need.
-    fn draws(&self, camera: &Camera, size: PictureSize) -> Vec<Draw>;
+    /// The draws for a camera of the far field of one of the cells, which is an index into
+    /// [`Skeleton::view_cells`], in the order of need.
+    fn draws(&self, cell: usize, camera: &Camera, size: PictureSize) -> Vec<Draw>;
 }
 
 /// Scan cubes with a dependency tree, which a standard textured depth mesh is the smallest case of.
@@ -35,10 +36,6 @@ impl Cubes {
     /// Those of `cells`, which are numbered as the skeleton's.
     pub fn new(skeleton: Arc<Skeleton>, cells: Arc<Cells>, budget: Budget) -> Self {
         Self { skeleton, cells, budget }
-    }
-
-    fn cell(&self, eye: [f64; 3]) -> Option<&ViewCell> {
-        self.cells.at(eye).map(|cell| &self.skeleton.view_cells[cell])
     }
 
     /// Cubes to draw of a cell; `sees` tells whether a patch may lie in the picture.
@@ -76,15 +73,19 @@ impl Cubes {
 
 impl FarField for Cubes {
     fn wanted(&self, eye: [f64; 3]) -> Vec<BlobId> {
-        let Some(cell) = self.cell(eye) else { return Vec::new() };
         // How many triangles lie in the frustum is not known, so they cannot end the list.
         let budget = Budget { triangles: None, ..self.budget };
-        let cubes = self.cubes(cell, eye, &budget, |_, _, _| true);
-        cubes.into_iter().flat_map(Cube::blobs).map(BlobId).collect()
+        let compositions = self.cells.compositions(eye);
+        let cells = compositions.iter().filter_map(|of| of.cell).map(|(cell, _)| cell);
+        let cubes = cells.flat_map(|cell| {
+            let cell = &self.skeleton.view_cells[cell];
+            self.cubes(cell, eye, &budget, |_, _, _| true)
+        });
+        cubes.flat_map(Cube::blobs).map(BlobId).collect()
     }
 
-    fn draws(&self, camera: &Camera, size: PictureSize) -> Vec<Draw> {
-        let Some(cell) = self.cell(camera.eye) else { return Vec::new() };
+    fn draws(&self, cell: usize, camera: &Camera, size: PictureSize) -> Vec<Draw> {
+        let cell = &self.skeleton.view_cells[cell];
         let sight = Sight::new(camera, size);
         let sees = |cube: &Cube, face, patch: &Blob| sight.meets(cube, face, patch);
         let cubes = self.cubes(cell, camera.eye, &self.budget, sees);

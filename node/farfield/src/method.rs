@@ -6,7 +6,7 @@ use crate::select::Budget;
 use crate::tdm::Tdm;
 use protocol::format::Method as Number;
 use protocol::format::Skeleton;
-use scene::near_field::Cells;
+use scene::view_cells::Cells;
 use std::sync::Arc;
 
 /// All ways.
@@ -34,6 +34,7 @@ pub trait Method: Sync {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::cells::MARGIN;
     use glam::DVec3;
     use protocol::camera::Camera;
     use protocol::format::{Blob, Class, Cube, Hlod, NONE, ViewCell};
@@ -47,12 +48,12 @@ mod tests {
     /// Cubes of each cell of the street.
     const CUBES: usize = 5;
 
-    /// A root without geometry over the unit cubes of a row, one view cell each: the first of TDM, the second of
-    /// ITDM, the third without a far field. Each cell's cubes but for the last two hang in a chain.
+    /// A root without geometry over the unit cubes of a row, one view cell each: the first of TDM, two of ITDM, the
+    /// last without a far field. Each cell's cubes but for the last two hang in a chain.
     fn row() -> Skeleton {
         let leaf = Hlod {
             min: [0.0; 3],
-            max: [3.0, 1.0, 1.0],
+            max: [4.0, 1.0, 1.0],
             parent: NONE,
             first_child: 0,
             child_count: 0,
@@ -71,9 +72,8 @@ mod tests {
         };
         let mut rng = StdRng::seed_from_u64(7);
         let (mut view_cells, mut cubes, mut blobs) = (Vec::new(), Vec::new(), Vec::new());
-        for (number, at) in
-            [Number::Tdm, Number::Itdm, Number::None].into_iter().zip([0.0, 1.0, 2.0])
-        {
+        let methods = [Number::Tdm, Number::Itdm, Number::Itdm, Number::None];
+        for (number, at) in methods.into_iter().zip([0.0, 1.0, 2.0, 3.0]) {
             let first_cube = cubes.len() as u32;
             let count = if number == Number::None { 0 } else { CUBES };
             for place in 0..count {
@@ -105,7 +105,7 @@ mod tests {
                 first_cube,
                 cube_count: count as u32,
                 method: number as u32,
-                reserved: 0,
+                margin: MARGIN,
                 objective: 0.1,
             });
         }
@@ -131,11 +131,18 @@ mod tests {
     fn cameras() -> Vec<Camera> {
         let mut rng = StdRng::seed_from_u64(8);
         let camera = |_| {
-            let eye = [-0.5..3.5, -0.2..1.2, -0.2..1.2].map(|range| rng.random_range(range));
+            let eye = [-0.5..4.5, -0.2..1.2, -0.2..1.2].map(|range| rng.random_range(range));
             let target: [f64; 3] = std::array::from_fn(|_| rng.random_range(-9.0..9.0));
             Camera::look_at(eye, target, [0.0, 0.0, 1.0], 40.0, 0.01).expect("a direction")
         };
         (0..400).map(camera).collect()
+    }
+
+    /// The cells that a picture is mixed of.
+    fn mixed(skeleton: &Skeleton, method: &dyn Method, eye: [f64; 3]) -> Vec<usize> {
+        let cells = Cells::new(skeleton, method.number() as u32);
+        let cells = cells.compositions(eye).into_iter().filter_map(|of| of.cell);
+        cells.map(|(cell, _)| cell).collect()
     }
 
     /// The cubes that draws belong to, in order.
@@ -166,7 +173,7 @@ mod tests {
     }
 
     #[test]
-    fn where_there_are_no_cells_nothing_is_wanted_or_drawn() {
+    fn where_there_are_no_cells_nothing_is_wanted() {
         let mut skeleton = row();
         skeleton.view_cells.clear();
         skeleton.cubes.clear();
@@ -175,7 +182,6 @@ mod tests {
             let far = open(method, &skeleton, Budget { cubes: 8, triangles: None });
             for camera in cameras() {
                 assert!(far.wanted(camera.eye).is_empty(), "{}", method.tag());
-                assert!(far.draws(&camera, SIZE).is_empty(), "{}", method.tag());
             }
         }
     }
@@ -198,31 +204,33 @@ mod tests {
                 let far = open(method, &skeleton, budget);
                 let mut drawn = 0;
                 for camera in cameras() {
-                    let (wanted, draws) = (far.wanted(camera.eye), far.draws(&camera, SIZE));
-                    let inside = skeleton.view_cells.iter().find(|cell| {
-                        (0..3).all(|k| cell.min[k] <= camera.eye[k] && camera.eye[k] < cell.max[k])
+                    let wanted = far.wanted(camera.eye);
+                    let inside = skeleton.view_cells.iter().any(|cell| {
+                        let holds = |k| cell.min[k] <= camera.eye[k] && camera.eye[k] < cell.max[k];
+                        cell.method == method.number() as u32 && (0..3).all(holds)
                     });
-                    let Some(cell) = inside.filter(|cell| cell.method == method.number() as u32)
-                    else {
-                        assert!(wanted.is_empty() && draws.is_empty(), "{what}: outside");
-                        continue;
-                    };
-                    let blobs: BTreeSet<_> = draws.iter().map(|draw| draw.blob).collect();
-                    assert_eq!(blobs.len(), draws.len(), "{what}: drawn once");
-                    assert!(draws.iter().all(|draw| wanted.contains(&draw.blob)), "{what}");
-                    let cubes = cubes_of(&skeleton, &draws);
-                    let first = cell.first_cube as usize;
-                    assert!(
-                        cubes.iter().all(|cube| (first..first + CUBES).contains(cube)),
-                        "{what}"
-                    );
-                    assert!(cubes.len() <= most as usize, "{what}: {cubes:?}");
-                    let cost = draws.len() as u64 * TRIANGLES;
-                    assert!(
-                        triangles.is_none_or(|most| cost <= most) || cubes.len() == 1,
-                        "{what}: {cost} of {cubes:?}"
-                    );
-                    drawn += draws.len();
+                    let cells = mixed(&skeleton, method, camera.eye);
+                    assert_eq!((cells.is_empty(), wanted.is_empty()), (!inside, !inside), "{what}");
+                    for at in cells {
+                        let cell = &skeleton.view_cells[at];
+                        let draws = far.draws(at, &camera, SIZE);
+                        let blobs: BTreeSet<_> = draws.iter().map(|draw| draw.blob).collect();
+                        assert_eq!(blobs.len(), draws.len(), "{what}: drawn once");
+                        assert!(draws.iter().all(|draw| wanted.contains(&draw.blob)), "{what}");
+                        let cubes = cubes_of(&skeleton, &draws);
+                        let first = cell.first_cube as usize;
+                        assert!(
+                            cubes.iter().all(|cube| (first..first + CUBES).contains(cube)),
+                            "{what}"
+                        );
+                        assert!(cubes.len() <= most as usize, "{what}: {cubes:?}");
+                        let cost = draws.len() as u64 * TRIANGLES;
+                        assert!(
+                            triangles.is_none_or(|most| cost <= most) || cubes.len() == 1,
+                            "{what}: {cost} of {cubes:?}"
+                        );
+                        drawn += draws.len();
+                    }
                 }
                 assert!(drawn > 50, "{what}: a weak test, {drawn} faces");
             }
@@ -235,26 +243,25 @@ mod tests {
         let (mut before, mut behind) = (0, 0);
         for camera in cameras() {
             let far = open(&Itdm, &skeleton, Budget { cubes: 99, triangles: None });
-            let draws = far.draws(&camera, SIZE);
-            let Some(cell) = Cells::new(&skeleton, Number::Itdm as u32).at(camera.eye) else {
-                continue;
-            };
-            let cubes = skeleton.cubes_of(&skeleton.view_cells[cell]);
-            let eye = DVec3::from_array(camera.eye);
-            let away = |cube: &&Cube| DVec3::from_array(cube.eye).distance(eye);
-            let nearest = cubes.iter().min_by(|a, b| away(a).total_cmp(&away(b)));
-            let up = |cube: &&Cube| skeleton.cubes.get(cube.parent as usize);
-            let path: Vec<&Cube> = std::iter::successors(nearest, up).collect();
-            for draw in draws {
-                let is_first = path.iter().any(|cube| cube.blobs().contains(&draw.blob.0));
-                let step = skeleton.blob(draw.blob).step as f32;
-                assert!(if is_first {
-                    draw.disparity_step == step
-                } else {
-                    draw.disparity_step < step
-                });
-                before += usize::from(is_first);
-                behind += usize::from(!is_first);
+            for cell in mixed(&skeleton, &Itdm, camera.eye) {
+                let draws = far.draws(cell, &camera, SIZE);
+                let cubes = skeleton.cubes_of(&skeleton.view_cells[cell]);
+                let eye = DVec3::from_array(camera.eye);
+                let away = |cube: &&Cube| DVec3::from_array(cube.eye).distance(eye);
+                let nearest = cubes.iter().min_by(|a, b| away(a).total_cmp(&away(b)));
+                let up = |cube: &&Cube| skeleton.cubes.get(cube.parent as usize);
+                let path: Vec<&Cube> = std::iter::successors(nearest, up).collect();
+                for draw in draws {
+                    let is_first = path.iter().any(|cube| cube.blobs().contains(&draw.blob.0));
+                    let step = skeleton.blob(draw.blob).step as f32;
+                    assert!(if is_first {
+                        draw.disparity_step == step
+                    } else {
+                        draw.disparity_step < step
+                    });
+                    before += usize::from(is_first);
+                    behind += usize::from(!is_first);
+                }
             }
         }
         assert!(before > 50 && behind > 50, "{before} {behind}");
@@ -265,13 +272,19 @@ mod tests {
         let skeleton = Arc::new(row());
         for method in METHODS {
             for camera in cameras() {
-                let of = |cubes| {
+                let of = |cubes, cell| {
                     let far = open(method, &skeleton, Budget { cubes, triangles: None });
-                    let draws = far.draws(&camera, SIZE);
+                    let draws = far.draws(cell, &camera, SIZE);
                     draws.iter().map(|draw| draw.blob).collect::<Vec<_>>()
                 };
-                for cubes in 1..=CUBES as u32 {
-                    assert!(of(cubes + 1).starts_with(&of(cubes)), "{}", method.tag());
+                for cell in mixed(&skeleton, method, camera.eye) {
+                    for cubes in 1..=CUBES as u32 {
+                        assert!(
+                            of(cubes + 1, cell).starts_with(&of(cubes, cell)),
+                            "{}",
+                            method.tag()
+                        );
+                    }
                 }
             }
         }

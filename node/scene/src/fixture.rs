@@ -61,7 +61,7 @@ pub(crate) fn write_with(path: &Path, seed: u64, change: impl FnOnce(&mut [Hlod]
         first_cube: 0,
         cube_count: 1,
         method: Method::Itdm as u32,
-        reserved: 0,
+        margin: 0.0,
         objective: 0.0,
     };
     // Nothing shows it; what is read and checked of a file holds for it all the same.

@@ -40,12 +40,12 @@ pub fn box_from_eye(hlod: &Hlod, eye: [f64; 3]) -> Aabb {
 }
 
 /// Which part of the scene a front is made of.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Field<'a> {
     /// All of it.
     Whole,
-    /// The leaves of a near field.
-    Near(&'a NearField),
+    /// The leaves of near fields.
+    Near(Vec<&'a NearField>),
     /// All but them.
     Far(&'a NearField),
 }
@@ -61,18 +61,25 @@ enum Choice {
 }
 
 impl Field<'_> {
-    fn choice(self, id: HlodId) -> Choice {
-        let (near, is_near_wanted) = match self {
-            Field::Whole => return Choice::Take,
-            Field::Near(near) => (near, true),
-            Field::Far(near) => (near, false),
-        };
-        match near.reach_of(id) {
-            Reach::Leaf if is_near_wanted => Choice::Take,
-            Reach::Leaf => Choice::Leave,
-            Reach::Below => Choice::Descend,
-            Reach::None if is_near_wanted => Choice::Leave,
-            Reach::None => Choice::Take,
+    fn choice(&self, id: HlodId) -> Choice {
+        match self {
+            Field::Whole => Choice::Take,
+            Field::Near(near) => {
+                let mut choice = Choice::Leave;
+                for near in near {
+                    match near.reach_of(id) {
+                        Reach::Leaf => return Choice::Take,
+                        Reach::Below => choice = Choice::Descend,
+                        Reach::None => {}
+                    }
+                }
+                choice
+            }
+            Field::Far(near) => match near.reach_of(id) {
+                Reach::Leaf => Choice::Leave,
+                Reach::Below => Choice::Descend,
+                Reach::None => Choice::Take,
+            },
         }
     }
 }
@@ -96,7 +103,7 @@ enum State {
 /// `projected = error / distance(eye, box) * height / (2 tan(fov/2))`. With `lod_px` 0 it is the
 /// leaves' level 0, the original geometry.
 pub fn front(skeleton: &Skeleton, camera: &Camera, size: PictureSize, lod_px: f64) -> Front {
-    front_of(skeleton, camera, size, lod_px, Field::Whole)
+    front_of(skeleton, camera, size, lod_px, &Field::Whole)
 }
 
 /// The same of a part of the scene: an hlod is refined where only some of what is below it belongs to it.
@@ -105,7 +112,7 @@ pub fn front_of(
     camera: &Camera,
     size: PictureSize,
     lod_px: f64,
-    field: Field<'_>,
+    field: &Field<'_>,
 ) -> Front {
     let frustum = frustum(camera, size);
     let allowed_at_unit_distance = lod_px * pixel_at_unit_depth(camera, size);
@@ -191,7 +198,7 @@ mod tests {
             let near =
                 NearField::new(&scene.skeleton, eye.map(|c| c - reach), eye.map(|c| c + reach));
             let skeleton = &scene.skeleton;
-            let of = |field| front_of(skeleton, &camera, SIZE, 2.0, field).entries;
+            let of = |field| front_of(skeleton, &camera, SIZE, 2.0, &field).entries;
             let leaves = |entries: &[FrontEntry]| -> Vec<HlodId> {
                 let mut waiting: Vec<HlodId> = entries.iter().map(|entry| entry.hlod).collect();
                 let mut leaves = Vec::new();
@@ -203,7 +210,7 @@ mod tests {
                 leaves.sort();
                 leaves
             };
-            let (here, there) = (of(Field::Near(&near)), of(Field::Far(&near)));
+            let (here, there) = (of(Field::Near(vec![&near])), of(Field::Far(&near)));
             assert!(here.iter().all(|entry| near.leaves().contains(&entry.hlod)));
             let far_leaves = leaves(&there);
             assert!(far_leaves.iter().all(|leaf| !near.leaves().contains(leaf)));

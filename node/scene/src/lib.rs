@@ -18,3 +18,4 @@ pub mod store;
 pub mod trajectory;
 pub mod verify;
 pub mod view;
+pub mod view_cells;

@@ -1,8 +1,9 @@
 //! The near field of a view cell: the leaves that reach into it (paper 000, section 3.1.1). All other
 //! leaves are its far field.
 
-use crate::front::Field;
-use protocol::format::{Skeleton, ViewCell};
+use protocol::format::Skeleton;
+#[cfg(doc)]
+use protocol::format::ViewCell;
 use protocol::id::HlodId;
 
 /// How an hlod stands to a near field.
@@ -25,7 +26,7 @@ pub struct NearField {
 }
 
 impl NearField {
-    /// The near field of the cell between two corners, scene units. Boxes that touch it belong to it.
+    /// Of the box between two corners, scene units. Leaves that touch it belong to it.
     pub fn new(skeleton: &Skeleton, min: [f64; 3], max: [f64; 3]) -> Self {
         let mut reach = vec![Reach::None; skeleton.hlods.len()];
         let mut leaves = Vec::new();
@@ -59,33 +60,8 @@ impl NearField {
     }
 }
 
-/// The view cells that have a far field of some method, with their near fields.
-#[derive(Debug, Clone, PartialEq, Default)]
-pub struct Cells(Vec<(usize, ViewCell, NearField)>);
-
-impl Cells {
-    /// Those of `skeleton` whose far field is of the method of this number.
-    pub fn new(skeleton: &Skeleton, method: u32) -> Self {
-        let cells = skeleton.view_cells.iter().enumerate();
-        let wanted = cells.filter(|(_, cell)| cell.method == method);
-        let with_near =
-            wanted.map(|(at, cell)| (at, *cell, NearField::new(skeleton, cell.min, cell.max)));
-        Self(with_near.collect())
-    }
-
-    /// Index into [`Skeleton::view_cells`] of the one that holds `eye`. Its lower sides belong to it, its
-    /// upper ones to its neighbours.
-    pub fn at(&self, eye: [f64; 3]) -> Option<usize> {
-        self.holding(eye).map(|(at, ..)| *at)
-    }
-
-    /// What is drawn as geometry from `eye`.
-    pub fn field_at(&self, eye: [f64; 3]) -> Field<'_> {
-        self.holding(eye).map_or(Field::Whole, |(.., near)| Field::Near(near))
-    }
-
-    fn holding(&self, eye: [f64; 3]) -> Option<&(usize, ViewCell, NearField)> {
-        let holds = |cell: &ViewCell| (0..3).all(|k| cell.min[k] <= eye[k] && eye[k] < cell.max[k]);
-        self.0.iter().find(|(_, cell, _)| holds(cell))
-    }
+/// The corners of the box of a cell with its margin ([`ViewCell::margin`]): what its near field reaches into.
+pub fn with_margin(min: [f64; 3], max: [f64; 3], margin: f32) -> [[f64; 3]; 2] {
+    let band: [f64; 3] = std::array::from_fn(|k| f64::from(margin) * (max[k] - min[k]));
+    [std::array::from_fn(|k| min[k] - band[k]), std::array::from_fn(|k| max[k] + band[k])]
 }

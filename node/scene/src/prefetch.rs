@@ -7,8 +7,8 @@
 //! is room for more, what is hidden in the frustum comes last.
 
 use crate::front::{Front, FrontEntry, box_from_eye, front_of};
-use crate::near_field::Cells;
 use crate::occluders::map_onto_front;
+use crate::view_cells::Cells;
 use glam::DVec3;
 use protocol::camera::Camera;
 use protocol::format::Skeleton;
@@ -93,7 +93,7 @@ impl Forecaster {
 
     fn front(&self, camera: &Camera) -> Front {
         let field = self.cells.field_at(camera.eye);
-        front_of(&self.skeleton, camera, self.size, self.lod_px, field)
+        front_of(&self.skeleton, camera, self.size, self.lod_px, &field)
     }
 
     /// Begins a new forecast in place of the last one.

@@ -1,7 +1,7 @@
 //! Measures a picture after it was drawn: is it the one that no culling would have given, how many of
 //! the drawn hlods can be seen in it, and how far does what stands in for others stray?
 
-use super::render_visible_geometry::Drawn;
+use super::render_visible_geometry::{Drawn, Layer};
 use super::{RoleError, Stage};
 use protocol::camera::Camera;
 use protocol::settings::Residency as Promise;
@@ -29,32 +29,43 @@ pub(crate) fn measure(
     audited: bool,
     counted: bool,
 ) -> Result<Measured, RoleError> {
-    let audit = audited.then(|| against_unculled(stage, camera, &drawn.picture)).transpose()?;
-    let is_whole = drawn.replaced.is_empty();
-    let items = if counted || !is_whole { items_of(stage, camera, drawn)? } else { None };
-    let hlods_with_pixels = counted.then(|| match &items {
-        Some(items) => items.count(),
-        // A mesh cannot be read any more: the next picture shows something else.
-        None => drawn.counts.hlods,
-    });
-    let stand_in_error_px = if is_whole { 0.0 } else { stray(stage, camera, drawn, items)? };
+    let audit = audited.then(|| against_unculled(stage, camera, drawn)).transpose()?;
+    let (mut seen, mut stand_in_error_px) = (BTreeSet::new(), 0.0);
+    for layer in &drawn.layers {
+        let is_whole = layer.replaced.is_empty();
+        let items = if counted || !is_whole { items_of(stage, camera, layer)? } else { None };
+        match &items {
+            Some(items) => seen.extend(items.hlods()),
+            // A mesh cannot be read any more: the next picture shows something else.
+            None => seen.extend(layer.shown.iter().map(|entry| entry.hlod.0)),
+        }
+        if !is_whole {
+            stand_in_error_px = stray(stage, camera, layer, items)?.max(stand_in_error_px);
+        }
+    }
+    let hlods_with_pixels = counted.then_some(seen.len() as u32);
     Ok(Measured { audit, hlods_with_pixels, stand_in_error_px })
 }
 
-/// Draws everything of the front that is in the frustum, on the same device, and compares.
+/// Draws everything of the front that is in the frustum, on the same device, and compares each of the pictures that
+/// are mixed.
 fn against_unculled(
     stage: &mut Stage<'_>,
     camera: &Camera,
-    culled: &Picture,
+    drawn: &Drawn,
 ) -> Result<Audit, RoleError> {
     let front = stage.front(camera);
     let shading = stage.shading();
     let pass = |view, draws, part| Pass::Shade { view, shading, draws, with_depth: true, part };
-    let (completion, ..) = stage.draw(camera, &front.entries, Promise::Exact, pass)?;
-    let Completion::Picture { picture: whole, .. } = completion else {
-        unreachable!("a picture answers as such")
-    };
-    Ok(Audit { differing_pixels: differing_pixels(culled, &whole) })
+    let mut differing = 0;
+    for (of, layer) in stage.cells().compositions(camera.eye).iter().zip(&drawn.layers) {
+        let (completion, ..) = stage.draw(of, camera, &front.entries, Promise::Exact, pass)?;
+        let Completion::Picture { picture: whole, .. } = completion else {
+            unreachable!("a picture answers as such")
+        };
+        differing += differing_pixels(&layer.picture, &whole);
+    }
+    Ok(Audit { differing_pixels: differing })
 }
 
 /// Pixels whose colour or depth bits differ.
@@ -81,10 +92,8 @@ struct Items {
 }
 
 impl Items {
-    fn count(&self) -> u32 {
-        let all = self.nearest.iter().chain(&self.blended);
-        let distinct: BTreeSet<u32> = all.copied().filter(|&item| item != NO_ITEM).collect();
-        distinct.len() as u32
+    fn hlods(&self) -> impl Iterator<Item = u32> {
+        self.nearest.iter().chain(&self.blended).copied().filter(|&item| item != NO_ITEM)
     }
 }
 
@@ -92,7 +101,7 @@ impl Items {
 fn items_of(
     stage: &mut Stage<'_>,
     camera: &Camera,
-    drawn: &Drawn,
+    drawn: &Layer,
 ) -> Result<Option<Items>, RoleError> {
     let pass = |view, draws, part| Pass::Items { view, draws, part };
     Ok(stage.draw_list(camera, &drawn.draws, pass)?.map(|completion| {
@@ -108,7 +117,7 @@ fn items_of(
 fn stray(
     stage: &mut Stage<'_>,
     camera: &Camera,
-    drawn: &Drawn,
+    drawn: &Layer,
     items: Option<Items>,
 ) -> Result<f64, RoleError> {
     let shading = stage.shading();

@@ -22,6 +22,7 @@ use scene::front::{Front, FrontEntry, front_of};
 use scene::occludee::Rules;
 use scene::stand_in::{Available, available};
 use scene::store::StoreError;
+use scene::view_cells::{Cells, Composition};
 use std::sync::Arc;
 
 /// Why a role cannot do its work.
@@ -97,18 +98,23 @@ impl<'a> Stage<'a> {
         }
     }
 
-    /// The front of `camera`: in a view cell with a far field, of its near field alone.
+    /// The front of `camera`: in view cells with far fields, of their near fields alone.
     fn front(&mut self, camera: &Camera) -> Arc<Front> {
         match &self.front {
             Some((of, front)) if of == camera => Arc::clone(front),
             _ => {
                 let RunSettings { size, lod_px, .. } = *self.settings;
                 let field = self.far.cells.field_at(camera.eye);
-                let made = Arc::new(front_of(&self.skeleton, camera, size, lod_px, field));
+                let made = Arc::new(front_of(&self.skeleton, camera, size, lod_px, &field));
                 self.front = Some((*camera, Arc::clone(&made)));
                 made
             }
         }
+    }
+
+    /// The cells that have a far field in this run.
+    fn cells(&self) -> Arc<Cells> {
+        Arc::clone(&self.far.cells)
     }
 
     fn view(&self, camera: &Camera) -> View {
@@ -124,30 +130,35 @@ impl<'a> Stage<'a> {
         available(&self.skeleton, entries, |level| self.loader.offers_level(level, promise))
     }
 
-    /// What is drawn of the far field, behind all else in the list.
-    fn far_draws(&self, camera: &Camera) -> Vec<Draw> {
-        let field = self.far.field.as_ref();
-        field.map_or_else(Vec::new, |field| field.draws(camera, self.settings.size))
+    /// What is drawn of the far field of a composition, behind all else in the list.
+    fn far_draws(&self, of: &Composition<'_>, camera: &Camera) -> Vec<Draw> {
+        match (&self.far.field, of.cell) {
+            (Some(field), Some((cell, _))) => field.draws(cell, camera, self.settings.size),
+            _ => Vec::new(),
+        }
     }
 
-    /// Draws `entries` and the far field, or what stands in for them, and waits for what comes of it. `pass` makes a pass
-    /// of a part of the list.
+    /// Draws those of `entries` that a composition has and its far field, or what stands in for them, and waits for what
+    /// comes of it. `pass` makes a pass of a part of the list.
     fn draw(
         &mut self,
+        of: &Composition<'_>,
         camera: &Camera,
         entries: &[FrontEntry],
         promise: Promise,
         pass: impl Fn(View, Draws, Part) -> Pass,
     ) -> Result<(Completion, Available, Draws), RoleError> {
+        let entries: Vec<FrontEntry> =
+            entries.iter().filter(|entry| of.has(entry.hlod)).copied().collect();
         if promise == Promise::Deadline {
             let blobs = entries.iter().flat_map(|entry| self.skeleton.blobs_of(entry.level));
-            let far = self.far_draws(camera).into_iter().map(|draw| draw.blob);
+            let far = self.far_draws(of, camera).into_iter().map(|draw| draw.blob);
             self.loader.order_missing(blobs.chain(far).collect::<Vec<_>>());
         }
         loop {
-            let mut shown = self.available(entries, promise);
+            let mut shown = self.available(&entries, promise);
             let mut draws = draw_list(&self.skeleton, &shown.entries, camera.eye);
-            let mut far = self.far_draws(camera);
+            let mut far = self.far_draws(of, camera);
             let wanted = far.len();
             far.retain(|draw| self.loader.offers(draw.blob, promise));
             // Nothing stands in for a cube.

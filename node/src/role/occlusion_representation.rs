@@ -25,7 +25,11 @@ pub(crate) fn run(
     }
     stage.begin_drawing()?;
     let front = stage.front(camera);
-    let wanted = map_onto_front(&stage.skeleton, previous, &front);
+    let mut wanted = map_onto_front(&stage.skeleton, previous, &front);
+    // What hides must be drawn in every picture that is mixed into the one.
+    let cells = stage.cells();
+    let mixed = cells.compositions(camera.eye);
+    wanted.retain(|entry| mixed.iter().all(|of| of.has(entry.hlod)));
     let promise = stage.settings.residency;
     if promise == Promise::Deadline {
         let skeleton = &stage.skeleton;

@@ -1,22 +1,43 @@
-//! RVG(i): the picture of frame i, V_i drawn under C_i (paper 004, section 4.3).
+//! RVG(i): the picture of frame i, V_i drawn under C_i (paper 004, section 4.3). Where view cells meet it is a mix
+//! of as many pictures (paper 000, section 5.4.2).
 
 use super::{RoleError, Stage};
 use protocol::camera::Camera;
 use protocol::id::HlodId;
-use protocol::telemetry::{DrawCounts, Missing};
+use protocol::telemetry::DrawCounts;
 use protocol::visible::VisibleSet;
-use scene::backend::Draws;
-use scene::backend::{Completion, Pass, Picture};
+use scene::backend::{Completion, Draws, Pass, Picture};
 use scene::front::{Front, FrontEntry};
+use scene::view_cells::WHOLE;
+use std::collections::BTreeSet;
 
 /// A frame that was drawn.
 pub(crate) struct Drawn {
     /// What was drawn; hash and what is measured are yet to be filled in.
     pub(crate) counts: DrawCounts,
+    /// What it is made of, as [`scene::view_cells::Cells::compositions`] names them.
+    pub(crate) layers: Vec<Layer>,
+    /// Their pictures mixed, where there are several.
+    mix: Option<Vec<u8>>,
+}
+
+impl Drawn {
+    /// The picture's RGBA bytes.
+    pub(crate) fn into_rgba(mut self) -> Vec<u8> {
+        self.mix.unwrap_or_else(|| self.layers.remove(0).picture.rgba)
+    }
+}
+
+/// The picture of one composition.
+pub(crate) struct Layer {
+    /// Its part of [`WHOLE`].
+    weight: u32,
     /// The picture.
     pub(crate) picture: Picture,
     /// The draws it is made of.
     pub(crate) draws: Draws,
+    /// What was shown: entries of the front, or what stood in for them.
+    pub(crate) shown: Vec<FrontEntry>,
     /// Hlods that should be seen, and what stands for each instead.
     pub(crate) replaced: Vec<(HlodId, FrontEntry)>,
 }
@@ -34,20 +55,35 @@ pub(crate) fn run(
     let shading = stage.shading();
     let pass = |view, draws, part| Pass::Shade { view, shading, draws, with_depth, part };
     let promise = stage.settings.residency;
-    let (completion, shown, draws) = stage.draw(camera, &entries, promise, pass)?;
-    let Completion::Picture { picture, .. } = completion else {
-        unreachable!("a picture answers as such")
-    };
-    let far_triangles = stage.far_triangles(&draws);
-    let replaced = shown.replaced.len() as u32;
-    let counts = DrawCounts {
-        hlods: shown.entries.len() as u32,
-        triangles: stage.triangles(&shown.entries) + far_triangles,
-        far_triangles,
-        missing: Missing { replaced, holes: shown.holes, error_px: 0.0 },
-        ..DrawCounts::default()
-    };
-    Ok(Drawn { counts, picture, draws, replaced: shown.replaced })
+    let mut counts = DrawCounts::default();
+    let mut layers = Vec::new();
+    for of in stage.cells().compositions(camera.eye) {
+        let (completion, shown, draws) = stage.draw(&of, camera, &entries, promise, pass)?;
+        let Completion::Picture { picture, .. } = completion else {
+            unreachable!("a picture answers as such")
+        };
+        let far_triangles = stage.far_triangles(&draws);
+        counts.far_triangles += far_triangles;
+        counts.triangles += stage.triangles(&shown.entries) + far_triangles;
+        counts.missing.replaced += shown.replaced.len() as u32;
+        counts.missing.holes += shown.holes;
+        let (shown, replaced) = (shown.entries, shown.replaced);
+        layers.push(Layer { weight: of.weight, picture, draws, shown, replaced });
+    }
+    let shown = layers.iter().flat_map(|layer| &layer.shown).map(|entry| entry.hlod);
+    counts.hlods = shown.collect::<BTreeSet<_>>().len() as u32;
+    let mix = (layers.len() > 1).then(|| mixed(&layers));
+    Ok(Drawn { counts, layers, mix })
+}
+
+/// Every channel by the layers' weights, rounded. What all show alike stays as it is.
+fn mixed(layers: &[Layer]) -> Vec<u8> {
+    let mut sums: Vec<u32> = Vec::new();
+    for Layer { weight, picture, .. } in layers {
+        sums.resize(picture.rgba.len(), WHOLE / 2);
+        sums.iter_mut().zip(&picture.rgba).for_each(|(sum, &c)| *sum += weight * u32::from(c));
+    }
+    sums.into_iter().map(|sum| (sum / WHOLE) as u8).collect()
 }
 
 /// The entries of `front` for `visible`, both sorted by id.
@@ -65,6 +101,29 @@ fn entries_of(front: &Front, visible: &[HlodId]) -> Result<Vec<FrontEntry>, Role
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_mix_is_rounded_by_weight_and_keeps_what_all_show() {
+        let layer = |weight, rgba: &[u8]| Layer {
+            weight,
+            picture: Picture { rgba: rgba.to_vec(), depth: None },
+            draws: Draws::default(),
+            shown: vec![],
+            replaced: vec![],
+        };
+        let [a, b] = [[0, 255, 7, 255], [10, 255, 8, 0]];
+        for (weight, expected) in [
+            (WHOLE / 2, [5, 255, 8, 128]),
+            (WHOLE / 4, [8, 255, 8, 64]),
+            (1, [10, 255, 8, 0]),
+            (WHOLE - 1, [0, 255, 7, 255]),
+        ] {
+            assert_eq!(mixed(&[layer(weight, &a), layer(WHOLE - weight, &b)]), expected);
+        }
+        let third = WHOLE / 3;
+        let three = [layer(third, &[9]), layer(third, &[9]), layer(WHOLE - 2 * third, &[9])];
+        assert_eq!(mixed(&three), [9]);
+    }
 
     #[test]
     fn visible_hlods_are_found_on_the_front_or_reported() {

@@ -4,11 +4,13 @@ use super::audit::measure;
 use super::*;
 use crate::fixture::{Piece, street, write};
 use crate::open::open_on;
+use protocol::format::{Method, ViewCell};
 use protocol::settings::{BackendChoice, Cull, PictureSize, Residency, Schedule};
 use protocol::sun::Sun;
 use protocol::telemetry::CullCounts;
 use protocol::visible::VisibleSet;
 use scene::backend::cpu::CpuBackend;
+use scene::view_cells::WHOLE;
 use std::path::Path;
 use std::sync::atomic::AtomicU64;
 
@@ -65,7 +67,11 @@ fn play(pieces: &[Piece], cameras: &[Camera], cull: Cull, rules: Rules) -> Vec<S
 /// Plays `cameras` through a scene file.
 fn play_file(path: &Path, cameras: &[Camera], cull: Cull, rules: Rules) -> Vec<Seen> {
     let settings = settings(path, cull);
-    let mut stage = Stage { rules, ..stage(&settings, rules, &Arc::default()) };
+    play_on(Stage { rules, ..stage(&settings, rules, &Arc::default()) }, cameras)
+}
+
+/// Plays `cameras` on a stage.
+fn play_on(mut stage: Stage<'_>, cameras: &[Camera]) -> Vec<Seen> {
     let mut visible = VisibleSet::whole_scene();
     let frame = |camera: &Camera| {
         occlusion_representation::run(&mut stage, camera, &visible).unwrap();
@@ -85,7 +91,7 @@ fn play_file(path: &Path, cameras: &[Camera], cull: Cull, rules: Rules) -> Vec<S
             drawn: drawn.counts.hlods,
             with_pixels: measured.hlods_with_pixels.unwrap(),
             differing: measured.audit.unwrap().differing_pixels,
-            hash: picture_hash(&drawn.picture.rgba),
+            hash: picture_hash(&drawn.into_rgba()),
         }
     };
     cameras.iter().map(frame).collect()
@@ -183,6 +189,47 @@ fn holes_and_glass_lose_no_pixel_either() {
     assert!(on.iter().zip(&off).any(|(on, off)| on.drawn < off.drawn));
 }
 
+#[test]
+fn where_cells_meet_only_what_both_draw_as_geometry_hides() {
+    // A wall half of which is in the near fields of both cells, half in that of the right one alone. Behind both halves
+    // the bounds of a box that reaches into the left one; the box itself is behind the right half.
+    let both = Piece::tight([-6.0, 8.0, -3.0], [1.0, 9.0, 3.0]);
+    let right = Piece::tight([1.0, 8.0, -3.0], [3.0, 9.0, 3.0]);
+    let bounds = [[-1.0, 12.0, -1.0], [3.0, 14.0, 1.0]];
+    let hidden = Piece { solid: [[2.0, 13.0, -1.0], [3.0, 14.0, 1.0]], bounds };
+    let cell = |min, max| ViewCell {
+        min,
+        max,
+        first_cube: 0,
+        cube_count: 0,
+        method: Method::Itdm as u32,
+        margin: 0.0625,
+        objective: 0.0,
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("scene.occ");
+    write(&path, &[both, right, hidden], false);
+    let play = |cull, x: f64| {
+        let settings = settings(&path, cull);
+        let stage = stage(&settings, Rules::default(), &Arc::default());
+        let mut skeleton = Skeleton::clone(&stage.skeleton);
+        let cells = [([-8.0, 0.0, -4.0], [0.0, 12.0, 4.0]), ([0.0, 0.0, -4.0], [8.0, 10.0, 4.0])];
+        skeleton.view_cells = cells.map(|(min, max)| cell(min, max)).to_vec();
+        let cells = Arc::new(Cells::new(&skeleton, Method::Itdm as u32));
+        let far = Distance { cells, field: None };
+        play_on(Stage { far, ..stage }, &[look([x, 1.0, 0.0], [x + 2.4, 13.0, 0.0]); 3])
+    };
+    // Left of the margin, in it, and right of it, where the box is no more than a part of the cubes.
+    for (x, drawn) in [(-1.0, 2), (0.05, 3), (1.0, 2)] {
+        let (on, off) = (play(Cull::Queries, x), play(Cull::Off, x));
+        for (on, off) in on.iter().zip(&off) {
+            assert_eq!((on.differing, on.hash), (0, off.hash), "{x}");
+            assert_eq!((off.drawn, on.drawn), (drawn, drawn), "{x}");
+            assert!(on.with_pixels <= on.drawn);
+        }
+    }
+}
+
 /// Draws all that is in the frustum.
 fn draw_all(stage: &mut Stage<'_>, camera: &Camera) -> IoCounts {
     stage.begin_drawing().unwrap();
@@ -194,7 +241,8 @@ fn draw_all(stage: &mut Stage<'_>, camera: &Camera) -> IoCounts {
         with_depth: false,
         part,
     };
-    stage.draw(camera, &front.entries, Promise::Exact, pass).unwrap();
+    let whole = Composition { cell: None, weight: WHOLE };
+    stage.draw(&whole, camera, &front.entries, Promise::Exact, pass).unwrap();
     stage.take_io()
 }
 

@@ -18,8 +18,9 @@ pub struct ViewCell {
     pub cube_count: u32,
     /// [`Method`] as a number.
     pub method: u32,
-    /// Zero.
-    pub reserved: u32,
+    /// Share of its sides, less than a half, by which its near field reaches beyond them: so far its far field
+    /// is right, and the pictures of neighbours may be mixed.
+    pub margin: f32,
     /// Solid angle of what no sample saw, from where most of it is seen (max `F` of paper 000, section
     /// 3.3.5), steradians.
     pub objective: f64,

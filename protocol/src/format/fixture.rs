@@ -129,7 +129,7 @@ pub(super) fn view_cells() -> Vec<ViewCell> {
         first_cube: 0,
         cube_count: 2,
         method: Method::Itdm as u32,
-        reserved: 0,
+        margin: 0.125,
         objective: 0.2,
     };
     let bare = ViewCell {

@@ -213,7 +213,7 @@ fn what_is_lit_again_is_what_another_sun_would_have_shown() {
         let mut sums = [0.0; 3];
         for (face, axes) in FACES.iter().enumerate() {
             let camera = studio.camera(sample.eye, axes);
-            let front = front_of(store.skeleton(), &camera, size, LOD_PX, Field::Far(&near));
+            let front = front_of(store.skeleton(), &camera, size, LOD_PX, &Field::Far(&near));
             let draws = draw_list(store.skeleton(), &front.entries, camera.eye);
             let view = View::new(&camera, size);
             let direct = studio.picture(view, Shading::Lit { sun }, &draws).unwrap();

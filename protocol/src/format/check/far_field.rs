@@ -13,7 +13,8 @@ pub(super) fn check_far_fields(skeleton: &Skeleton) -> Result<(), Violation> {
         hold(place, numbers.copied().all(f64::is_finite), Rule::NotFinite)?;
         hold(place, (0..3).all(|k| cell.min[k] < cell.max[k]), Rule::FlatCell)?;
         hold(place, cell.objective >= 0.0, Rule::Negative)?;
-        hold(place, cell.reserved == 0, Rule::Reserved)?;
+        let margin = cell.margin;
+        hold(place, (0.0..0.5).contains(&margin), Rule::Margin { margin })?;
         let Some(method) = Method::of(cell.method) else {
             return Err(Violation { place, rule: Rule::Method { method: cell.method } });
         };

@@ -231,6 +231,12 @@ pub enum Rule {
     /// Cells have an inside.
     #[error("the least corner of its box is not less than the greatest in every axis")]
     FlatCell,
+    /// A near field reaches less than half a cell beyond it.
+    #[error("its margin {margin} is no share of its sides below a half")]
+    Margin {
+        /// The margin.
+        margin: f32,
+    },
     /// Cells do not overlap.
     #[error("it overlaps view cell {other}")]
     Overlap {

@@ -292,7 +292,10 @@ fn view_cells_have_an_inside_a_method_and_the_cubes_it_makes() {
     assert_eq!(cell(|c| c.min[2] = f64::NAN), Rule::NotFinite);
     assert_eq!(cell(|c| c.objective = f64::INFINITY), Rule::NotFinite);
     assert_eq!(cell(|c| c.objective = -0.1), Rule::Negative);
-    assert_eq!(cell(|c| c.reserved = 1), Rule::Reserved);
+    for margin in [-0.1, 0.5, f32::INFINITY] {
+        assert_eq!(broken(|s| s.view_cells[0].margin = margin).rule, Rule::Margin { margin });
+    }
+    assert!(matches!(cell(|c| c.margin = f32::NAN), Rule::Margin { .. }));
     assert_eq!(cell(|c| c.method = 3), Rule::Method { method: 3 });
     assert_eq!(cell(|c| c.method = 0), Rule::CubeCount { count: 2 });
     let range = |first, count, expected| Rule::CubeRange { first, count, expected };
