@@ -1,6 +1,6 @@
 //! `bake`: source scene to scene file.
 
-use super::exit::{CONFIG, Failure, OrExit, UNAVAILABLE, USAGE};
+use super::exit::{BAD_DATA, CONFIG, Failure, OrExit, UNAVAILABLE, USAGE};
 use super::interrupt::{During, Work};
 use super::replay::{read_path, word};
 use super::say::{say, say_json};
@@ -9,8 +9,9 @@ use ::bake::Options;
 use ::bake::far::{FarSummary, Settings};
 use ::bake::progress::Bars;
 use anyhow::anyhow;
-use coordinator::camera_path::PathKind;
+use coordinator::camera_path::{PathKind, cameras};
 use coordinator::config::Bytes;
+use protocol::camera::near_plane;
 use protocol::format::Method;
 use protocol::format::projected::is_side;
 use protocol::settings::{BackendChoice, PictureSize};
@@ -117,12 +118,14 @@ pub(crate) fn run(args: Args) -> Result<(), Failure> {
 /// Adds far fields to the scene at `baked`.
 fn add_far(args: &Args, options: &Options, baked: &Path) -> Result<FarSummary, Failure> {
     let _during = During::new(Work::Baking(args.output.clone()));
+    let store = scene_file::open(baked)?;
     let poses = match &args.cells_along {
         Some(path) => read_path(path)?,
-        None => path::poses(&scene_file::open(baked)?, PathKind::Walk, WALKED_POSES, 1)?,
+        None => path::poses(&store, PathKind::Walk, WALKED_POSES, 1)?,
     };
-    let viewpoints = poses.iter().map(|pose| pose.eye.into()).collect();
-    let mut settings = Settings::new(args.far, viewpoints);
+    let near = near_plane(store.skeleton().diagonal());
+    let views = cameras(&poses, near).or_exit(BAD_DATA)?;
+    let mut settings = Settings::new(args.far, views);
     (settings.side, settings.in_space) = (args.far_side, args.far_in_space);
     (settings.samples, settings.epsilon_sr) = (args.far_samples, args.far_epsilon);
     (settings.always, settings.relight) = (args.far_always, args.far_relight);

@@ -12,9 +12,10 @@ use farfield::cube::{BakedCube, BakedFace, Viewpoints};
 use farfield::patches::BakedPatch;
 use farfield::placement;
 use farfield::sample::Sample;
+use farfield::worth::Views;
 use farfield::{itdm, tdm};
 use glam::DVec3;
-use protocol::camera::near_plane;
+use protocol::camera::{Camera, near_plane};
 use protocol::format::projected::{NewPatch, SUBPIXELS, TILE};
 use protocol::format::{
     Cube, Method, NONE, SceneWriter, Skeleton, Tables, Vertex, ViewCell, WriteError,
@@ -34,11 +35,11 @@ use std::time::Instant;
 pub struct Settings {
     /// Tdm or Itdm.
     pub method: Method,
-    /// Viewpoints that are to lie in a cell with a far field, scene units.
-    pub viewpoints: Vec<DVec3>,
+    /// Pictures that will be taken: their viewpoints are to lie in cells with far fields.
+    pub views: Vec<Camera>,
     /// How the scene is divided into cells.
     pub division: Division,
-    /// Cells hold viewpoints at all heights, not only at that of those given.
+    /// Cells hold viewpoints at all heights, not only at that of the views.
     pub in_space: bool,
     /// Pixels along a side of a face.
     pub side: u32,
@@ -59,11 +60,11 @@ pub struct Settings {
 }
 
 impl Settings {
-    /// The paper's, for viewpoints: 512x512 faces, 0.2 steradians, half a pixel.
-    pub fn new(method: Method, viewpoints: Vec<DVec3>) -> Self {
+    /// The paper's: 512x512 faces, 0.2 steradians, half a pixel.
+    pub fn new(method: Method, views: Vec<Camera>) -> Self {
         Self {
             method,
-            viewpoints,
+            views,
             division: Division::default(),
             in_space: false,
             side: 512,
@@ -137,10 +138,12 @@ pub struct CellSummary {
     pub points: u64,
     /// Of those, removed.
     pub redundant: u64,
-    /// Triangles of all cubes.
+    /// Triangles of all cubes that were made.
     pub triangles: u64,
-    /// Triangles of the far field's front at one pixel of error, all around, from the first viewpoint.
-    pub geometry_triangles: u64,
+    /// Triangles that the views have in sight of the cubes drawn by default, mean.
+    pub cubes_in_view: u64,
+    /// And of the same as geometry, at one pixel of error.
+    pub geometry_in_view: u64,
     /// Triangles of the source in the near field.
     pub near_triangles: u64,
     /// Bytes of all faces.
@@ -168,11 +171,15 @@ impl std::fmt::Display for FarSummary {
             writeln!(f, "  samples       {}, unseen sr {}", cell.samples, shown.join(" "))?;
             let removed = 100.0 * cell.redundant as f64 / cell.points.max(1) as f64;
             writeln!(f, "  points        {}, {removed:.1}% redundant", cell.points)?;
-            let fate = if cell.kept { "kept" } else { "geometry is cheaper: left out" };
+            let fate = match (cell.kept, cell.cubes_in_view < cell.geometry_in_view) {
+                (true, true) => "kept",
+                (true, false) => "geometry is cheaper: kept all the same",
+                (false, _) => "geometry is cheaper: left out",
+            };
             writeln!(
                 f,
-                "  triangles     {} in cubes, {} as geometry: {fate}",
-                cell.triangles, cell.geometry_triangles
+                "  triangles     {} in cubes; in view {}, as geometry {}: {fate}",
+                cell.triangles, cell.cubes_in_view, cell.geometry_in_view
             )?;
             let [place, sample, encode] = cell.seconds;
             writeln!(
@@ -198,7 +205,8 @@ pub fn add_far(
 ) -> Result<FarSummary, FarError> {
     let store = Store::open(input)?;
     let skeleton = store.skeleton();
-    let cells = cells_along(skeleton, &settings.viewpoints, &settings.division);
+    let viewpoints: Vec<DVec3> = settings.views.iter().map(|view| view.eye.into()).collect();
+    let cells = cells_along(skeleton, &viewpoints, &settings.division);
     if cells.is_empty() {
         return Err(FarError::Nowhere(input.to_owned()));
     }
@@ -261,32 +269,46 @@ fn far_field(
         .iter()
         .map(|&eye| fine.sample(eye, &cell.near))
         .collect::<Result<Vec<Sample>, CaptureError>>()?;
-    let geometry_triangles = fine.triangles(eyes[0], &cell.near);
     let sampled = sampling.elapsed().as_secs_f64();
     let encoding = Instant::now();
+    let views = views_of(cell, settings);
+    let geometry_in_view = views.of_geometry(skeleton, &cell.near);
+    let pays = |cubes: &[BakedCube]| settings.always || views.of_cubes(cubes) < geometry_in_view;
     let (cubes, points, redundant) = match settings.method {
         Method::Tdm => (vec![tdm::encode(&samples[0], &viewpoints, settings.tolerance_px)], 0, 0),
         _ => {
             let tolerance = settings.tolerance_px;
-            let encoded = itdm::encode(&samples, &viewpoints, tolerance, settings.all_intra);
+            // The first cube is drawn from everywhere, all of them where they are few.
+            let are_few = samples.len() <= FAR_CUBES as usize;
+            let goes_on = |cubes: &[BakedCube]| (cubes.len() > 1 && !are_few) || pays(cubes);
+            let encoded =
+                itdm::encode(&samples, &viewpoints, tolerance, settings.all_intra, goes_on);
             (encoded.cubes, encoded.points, encoded.redundant)
         }
     };
     let summary = CellSummary {
         min: cell.min.to_array(),
         max: cell.max.to_array(),
-        kept: true,
+        kept: pays(&cubes),
         samples: eyes.len(),
         objective,
         points,
         redundant,
         triangles: cubes.iter().map(BakedCube::triangles).sum(),
-        geometry_triangles,
+        cubes_in_view: views.of_cubes(&cubes),
+        geometry_in_view,
         near_triangles: cell.near.triangles(skeleton),
         bytes: 0,
         seconds: [placed, sampled, encoding.elapsed().as_secs_f64()],
     };
     Ok(FarFieldOf { cubes, summary })
+}
+
+/// The pictures that are taken in a cell.
+fn views_of(cell: &Cell, settings: &Settings) -> Views {
+    let inside = |view: &&Camera| cell.viewpoints.contains(&view.eye.into());
+    let cameras: Vec<Camera> = settings.views.iter().filter(inside).copied().collect();
+    Views::new(&cameras, settings.side)
 }
 
 /// The vertices that indices name, in the order they do, and the indices into those.
@@ -331,9 +353,6 @@ impl<'a> FarFile<'a> {
     /// Writes a cell's cubes, or notes that its far field is cheaper as geometry.
     fn add(&mut self, made: FarFieldOf, settings: &Settings) -> Result<CellSummary, FarError> {
         let mut summary = made.summary;
-        // Both are what is drawn all around, where nothing else is asked for.
-        let drawn: u64 = made.cubes.iter().take(FAR_CUBES as usize).map(BakedCube::triangles).sum();
-        summary.kept = settings.always || drawn < summary.geometry_triangles;
         let first_cube = self.cubes.len() as u32;
         let cubes = if summary.kept { &made.cubes[..] } else { &[] };
         for cube in cubes {

@@ -77,19 +77,6 @@ impl<'a> Studio<'a> {
         Ok(Sample { eye, side: self.side, faces })
     }
 
-    /// Triangles that stand for the same as geometry at one pixel of error, in all directions.
-    pub fn triangles(&self, eye: DVec3, near: &NearField) -> u64 {
-        let skeleton = self.store.skeleton();
-        let size = PictureSize { width: self.side, height: self.side };
-        let of_face = |axes: &FaceAxes| -> u64 {
-            let camera = self.camera(eye, axes);
-            let front = front_of(skeleton, &camera, size, 1.0, &Field::Far(near));
-            let levels = front.entries.iter().map(|entry| &skeleton.levels[entry.level as usize]);
-            levels.map(|level| u64::from(level.triangles)).sum()
-        };
-        FACES.iter().map(of_face).sum()
-    }
-
     fn camera(&self, eye: DVec3, axes: &FaceAxes) -> Camera {
         Camera {
             eye: eye.to_array(),

@@ -1,16 +1,15 @@
 //! Far fields at run time: which blobs a viewpoint needs, and what is drawn of them.
 
 use crate::redundancy::Tolerance;
-use crate::select::{Budget, Choice, selected};
+use crate::select::{Budget, Choice, Selected, selected};
+use crate::sight::{Shown, Sight, on_face};
 use glam::DVec3;
 use protocol::camera::Camera;
 use protocol::format::projected::{FACES, FaceAxes, SUBPIXELS};
-use protocol::format::vertex::POSITION_MAX;
 use protocol::format::{Blob, Cube, NONE, Skeleton, ViewCell};
 use protocol::id::{BlobId, HlodId};
 use protocol::settings::PictureSize;
 use scene::backend::{Draw, NO_ITEM};
-use scene::view::frustum;
 use scene::view_cells::Cells;
 use std::sync::Arc;
 
@@ -38,29 +37,21 @@ impl Cubes {
         Self { skeleton, cells, budget }
     }
 
-    /// Cubes to draw of a cell; `sees` tells whether a patch may lie in the picture.
-    fn cubes(
+    /// Cubes to draw of a cell, by index into its own; `triangles` tells how many of each lie in view.
+    fn selected(
         &self,
         cell: &ViewCell,
         eye: [f64; 3],
         budget: &Budget,
-        sees: impl Fn(&Cube, usize, &Blob) -> bool,
-    ) -> Vec<&Cube> {
-        let cubes = self.skeleton.cubes_of(cell);
-        let choices: Vec<Choice> = cubes
-            .iter()
-            .map(|cube| Choice {
-                eye: DVec3::from_array(cube.eye),
-                parent: (cube.parent != NONE).then(|| (cube.parent - cell.first_cube) as usize),
-                triangles: self
-                    .patches(cube)
-                    .filter(|(face, _, patch)| sees(cube, *face, patch))
-                    .map(|(_, _, patch)| u64::from(patch.triangles))
-                    .sum(),
-            })
-            .collect();
-        let chosen = selected(&choices, DVec3::from_array(eye), budget);
-        chosen.into_iter().map(|at| &cubes[at]).collect()
+        triangles: impl Fn(usize) -> u64,
+    ) -> Selected {
+        let cubes = self.skeleton.cubes_of(cell).iter().enumerate();
+        let choices = cubes.map(|(at, cube)| Choice {
+            eye: DVec3::from_array(cube.eye),
+            parent: (cube.parent != NONE).then(|| (cube.parent - cell.first_cube) as usize),
+            triangles: triangles(at),
+        });
+        selected(&choices.collect::<Vec<_>>(), DVec3::from_array(eye), budget)
     }
 
     /// The patches of a cube: face, number and record.
@@ -79,31 +70,32 @@ impl FarField for Cubes {
         let cells = compositions.iter().filter_map(|of| of.cell).map(|(cell, _)| cell);
         let cubes = cells.flat_map(|cell| {
             let cell = &self.skeleton.view_cells[cell];
-            self.cubes(cell, eye, &budget, |_, _, _| true)
+            let of_cell = self.skeleton.cubes_of(cell);
+            self.selected(cell, eye, &budget, |_| 0).cubes.into_iter().map(|at| &of_cell[at])
         });
         cubes.flat_map(Cube::blobs).map(BlobId).collect()
     }
 
     fn draws(&self, cell: usize, camera: &Camera, size: PictureSize) -> Vec<Draw> {
         let cell = &self.skeleton.view_cells[cell];
+        let cubes = self.skeleton.cubes_of(cell);
         let sight = Sight::new(camera, size);
-        let sees = |cube: &Cube, face, patch: &Blob| sight.meets(cube, face, patch);
-        let cubes = self.cubes(cell, camera.eye, &self.budget, sees);
-        let distance = |cube: &&Cube| {
-            DVec3::from_array(cube.eye).distance_squared(DVec3::from_array(camera.eye))
+        let in_view = |cube| {
+            let patches = self.patches(cube);
+            patches.filter(|(face, _, patch)| sight.meets(&shown(cube, *face, patch))).collect()
         };
-        let nearest = cubes.iter().map(distance).fold(f64::INFINITY, f64::min);
-        // The nearest is the last of the first path, none of which gives way.
-        let path = cubes.iter().position(|cube| distance(cube) == nearest).map_or(0, |at| at + 1);
-        let of_cube = |(place, cube): (usize, &Cube)| {
-            let back = if place < path { 0.0 } else { set_back(cube.side) };
-            let patches = self.patches(cube).filter(|(face, _, patch)| sees(cube, *face, patch));
-            let draws: Vec<Draw> = patches
-                .map(|(face, blob, patch)| patch_draw(cube, face, blob, patch, camera.eye, back))
-                .collect();
-            draws
+        let in_view: Vec<Vec<_>> = cubes.iter().map(in_view).collect();
+        let triangles =
+            |at: usize| in_view[at].iter().map(|(_, _, patch)| u64::from(patch.triangles)).sum();
+        let chosen = self.selected(cell, camera.eye, &self.budget, triangles);
+        let of_cube = |(place, at): (usize, usize)| {
+            let cube = &cubes[at];
+            let back = if place < chosen.path { 0.0 } else { set_back(cube.side) };
+            in_view[at].iter().map(move |(face, blob, patch)| {
+                patch_draw(cube, *face, *blob, patch, camera.eye, back)
+            })
         };
-        cubes.into_iter().enumerate().flat_map(of_cube).collect()
+        chosen.cubes.iter().copied().enumerate().flat_map(of_cube).collect()
     }
 }
 
@@ -112,6 +104,17 @@ impl FarField for Cubes {
 /// ([`crate::redundancy::Tolerance`]).
 fn set_back(side: u32) -> f64 {
     Tolerance::default().at(1.0, side)
+}
+
+/// What a patch can show.
+fn shown(cube: &Cube, face: usize, patch: &Blob) -> Shown {
+    Shown {
+        eye: DVec3::from_array(cube.eye),
+        face,
+        least: [patch.origin[0], patch.origin[1]].map(|at| on_face(at, cube.side)),
+        across: f64::from(patch.image[0]) * 2.0 / f64::from(cube.side),
+        step: patch.step,
+    }
 }
 
 /// How a patch is drawn for an eye ([`protocol::format::projected`]), `back` of its distance behind where it
@@ -125,9 +128,8 @@ fn patch_draw(
     back: f64,
 ) -> Draw {
     let FaceAxes { forward, right, up } = FACES[face];
-    let pixel = 2.0 / f64::from(cube.side);
-    let unit = pixel / f64::from(SUBPIXELS);
-    let [left, top] = [0, 1].map(|k| patch.origin[k] * pixel - 1.0);
+    let unit = 2.0 / f64::from(cube.side) / f64::from(SUBPIXELS);
+    let [left, top] = [patch.origin[0], patch.origin[1]].map(|at| on_face(at, cube.side));
     let vector = |of: &dyn Fn(usize) -> f64| std::array::from_fn(|k| of(k) as f32);
     Draw {
         blob,
@@ -143,104 +145,16 @@ fn patch_draw(
     }
 }
 
-/// What a camera sees, for culling patches.
-struct Sight {
-    eye: DVec3,
-    /// Normals of the frustum's sides, inwards.
-    sides: [DVec3; 5],
-}
-
-impl Sight {
-    fn new(camera: &Camera, size: PictureSize) -> Self {
-        let sides = frustum(camera, size).normals();
-        Self { eye: DVec3::from_array(camera.eye), sides }
-    }
-
-    /// Whether something of a patch may lie in the picture: no side of the frustum has all of the pyramid over
-    /// its window, from the nearest that the patch can show to infinity, beyond it.
-    fn meets(&self, cube: &Cube, face: usize, patch: &Blob) -> bool {
-        let apex = DVec3::from_array(cube.eye) - self.eye;
-        // The greatest disparity that its grid holds.
-        let nearest = 1.0 / (patch.step * f64::from(POSITION_MAX));
-        let FaceAxes { forward, right, up } = FACES[face];
-        let [forward, right, up] = [forward, right, up].map(DVec3::from_array);
-        let pixel = 2.0 / f64::from(cube.side);
-        let ends = |k: usize| {
-            let first = patch.origin[k] * pixel - 1.0;
-            [first, first + f64::from(patch.image[0]) * pixel]
-        };
-        let (across, down) = (ends(0), ends(1));
-        let corners = [(0, 0), (0, 1), (1, 0), (1, 1)];
-        let corners = corners.map(|(x, y)| forward + right * across[x] - up * down[y]);
-        self.sides.iter().all(|side| {
-            corners
-                .iter()
-                .any(|corner| side.dot(*corner) > 0.0 || side.dot(apex + *corner * nearest) > 0.0)
-        })
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    const SIZE: PictureSize = PictureSize { width: 64, height: 48 };
-
-    fn cube(eye: [f64; 3]) -> Cube {
-        Cube { eye, patches: [0, 1, 2, 3, 4, 5, 6], side: 64, parent: NONE, triangles: 6 }
-    }
-
-    /// A patch whose window begins at a column and row and has a side, pixels; it shows nothing nearer than 0.7.
-    fn patch(at: [u32; 2], side: u32) -> Blob {
-        let origin = [f64::from(at[0]), f64::from(at[1]), 0.0];
-        let step = 1.0 / (0.7 * f64::from(POSITION_MAX));
-        Blob { origin, step, image: [side, 0], ..Blob::default() }
-    }
-
-    #[test]
-    fn a_patch_is_seen_where_a_point_of_it_is_in_the_picture() {
-        use rand::{Rng, SeedableRng, rngs::StdRng};
-        let mut rng = StdRng::seed_from_u64(3);
-        let mut of =
-            |reach: f64| -> [f64; 3] { std::array::from_fn(|_| rng.random_range(-reach..reach)) };
-        let windows = [patch([0, 0], 64), patch([16, 0], 32), patch([48, 32], 16)];
-        let mut seen = [0; 3];
-        let mut hidden = [0; 3];
-        for _ in 0..300 {
-            let (eye, target) = (of(1.0), of(5.0));
-            let camera = Camera::look_at(eye, target, [0.0, 0.0, 1.0], 60.0, 0.01).unwrap();
-            let cube = cube(of(1.0));
-            let sight = Sight::new(&camera, SIZE);
-            for (face, FaceAxes { forward, right, up }) in FACES.into_iter().enumerate() {
-                for (k, window) in windows.iter().enumerate() {
-                    let (least, most) =
-                        ([0, 1].map(|k| window.origin[k]), f64::from(window.image[0]));
-                    let any = (0..200).any(|_| {
-                        let [a, b, z] = of(1.0);
-                        let place =
-                            |at: f64, least: f64| (least + 0.5 * (at + 1.0) * most) / 32.0 - 1.0;
-                        let (a, b) = (place(a, least[0]), place(b, least[1]));
-                        let depth = 0.7 + 50.0 * (z + 1.0);
-                        let p: [f64; 3] = std::array::from_fn(|k| {
-                            cube.eye[k] + depth * (forward[k] + a * right[k] - b * up[k]) - eye[k]
-                        });
-                        sight.sides.iter().all(|side| side.dot(DVec3::from_array(p)) > 0.0)
-                    });
-                    let meets = sight.meets(&cube, face, window);
-                    assert!(!any || meets);
-                    seen[k] += usize::from(any);
-                    hidden[k] += usize::from(!meets);
-                }
-            }
-        }
-        assert!(seen.iter().chain(&hidden).all(|&count| count > 80), "{seen:?} {hidden:?}");
-        assert!(hidden.is_sorted_by(|a, b| a < b), "the smaller, the less is seen: {hidden:?}");
-    }
-
     #[test]
     fn a_draw_takes_a_vertex_to_its_point() {
-        let patch = Blob { step: 0.25, ..patch([16, 0], 48) };
-        let (cube, eye) = (cube([10.0, 20.0, 30.0]), [11.0, 19.0, 30.5]);
+        let (at, eye) = ([10.0, 20.0, 30.0], [11.0, 19.0, 30.5]);
+        let cube = Cube { eye: at, patches: [0; 7], side: 64, parent: NONE, triangles: 0 };
+        let patch =
+            Blob { step: 0.25, origin: [16.0, 0.0, 0.0], image: [48, 0], ..Blob::default() };
         for (face, FaceAxes { forward, right, up }) in FACES.into_iter().enumerate() {
             let draw = patch_draw(&cube, face, BlobId(face as u32), &patch, eye, 0.0);
             // Pixel (48, 8) of the face, which is (32, 8) of the window; disparity 0.5.

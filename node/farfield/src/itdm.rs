@@ -35,12 +35,14 @@ pub struct Encoded {
 }
 
 /// Encodes samples of one cell (sections 4.1 and 4.2). `keeps_all` leaves the redundant points where they
-/// are, so that every cube is whole: what the removal is measured against.
+/// are, so that every cube is whole: what the removal is measured against. `goes_on` is asked after every cube; the rest
+/// is not made once it says no.
 pub fn encode(
     samples: &[Sample],
     viewpoints: &Viewpoints,
     tolerance_px: f64,
     keeps_all: bool,
+    goes_on: impl Fn(&[BakedCube]) -> bool,
 ) -> Encoded {
     let eyes: Vec<_> = samples.iter().map(|sample| sample.eye).collect();
     let tree = DependencyTree::new(&eyes);
@@ -68,6 +70,9 @@ pub fn encode(
             parent: tree.parents[at].and_then(place_of),
             faces: faces(sample, &shown, viewpoints, tolerance_px, &joined),
         });
+        if !goes_on(&encoded.cubes) {
+            break;
+        }
     }
     encoded
 }

@@ -22,17 +22,26 @@ pub struct Budget {
     pub triangles: Option<u64>,
 }
 
-/// Cubes to draw, by index, in the order they are added: the cube nearest to `eye`, after its ancestors from
+/// Cubes to draw.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct Selected {
+    /// By index, in the order they are added.
+    pub cubes: Vec<usize>,
+    /// The first so many are the nearest cube and those it depends on.
+    pub path: usize,
+}
+
+/// Cubes are added in this order: the cube nearest to `eye`, after its ancestors from
 /// the intra cube down; then the next nearest with those of its ancestors that are not there yet, until the
 /// budget ends. A cube is never there without its ancestors. Of equally near cubes the first counts.
-pub fn selected(cubes: &[Choice], eye: DVec3, budget: &Budget) -> Vec<usize> {
+pub fn selected(cubes: &[Choice], eye: DVec3, budget: &Budget) -> Selected {
     let mut by_distance: Vec<usize> = (0..cubes.len()).collect();
     by_distance.sort_by(|&a, &b| {
         let distance = |at: usize| cubes[at].eye.distance_squared(eye);
         distance(a).total_cmp(&distance(b)).then(a.cmp(&b))
     });
     let mut added = Vec::new();
-    let mut triangles = 0;
+    let (mut triangles, mut first_path) = (0, None);
     for nearest in by_distance {
         let mut path: Vec<usize> =
             std::iter::successors(Some(nearest), |&at| cubes[at].parent).collect();
@@ -43,12 +52,14 @@ pub fn selected(cubes: &[Choice], eye: DVec3, budget: &Budget) -> Vec<usize> {
             triangles += cubes[next].triangles;
             let too_many = budget.triangles.is_some_and(|most| triangles > most);
             if added.len() as u32 >= budget.cubes || (too_many && !added.is_empty()) {
-                return added;
+                let path = first_path.unwrap_or(added.len());
+                return Selected { cubes: added, path };
             }
             added.push(next);
         }
+        first_path = first_path.or(Some(added.len()));
     }
-    added
+    Selected { path: first_path.unwrap_or(0), cubes: added }
 }
 
 #[cfg(test)]
@@ -63,12 +74,27 @@ mod tests {
 
     fn select(x: f64, cubes_at_most: u32, triangles: Option<u64>) -> Vec<usize> {
         let budget = Budget { cubes: cubes_at_most, triangles };
-        selected(&cubes(), DVec3::new(x, 0.0, 0.0), &budget)
+        selected(&cubes(), DVec3::new(x, 0.0, 0.0), &budget).cubes
+    }
+
+    #[test]
+    fn the_first_path_is_told_apart() {
+        let path = |x: f64, cubes_at_most| {
+            let budget = Budget { cubes: cubes_at_most, triangles: None };
+            selected(&cubes(), DVec3::new(x, 0.0, 0.0), &budget).path
+        };
+        assert_eq!(
+            [(5.0, 9), (5.0, 3), (5.0, 2), (-3.0, 9), (0.0, 9)].map(|(x, k)| path(x, k)),
+            [3, 3, 2, 2, 1]
+        );
+        assert_eq!(
+            selected(&[], DVec3::ZERO, &Budget { cubes: 3, triangles: None }),
+            Selected::default()
+        );
     }
 
     #[test]
     fn of_nothing_nothing_is_drawn() {
-        assert!(selected(&[], DVec3::ZERO, &Budget { cubes: 3, triangles: None }).is_empty());
         assert!(select(0.0, 0, None).is_empty());
     }
 
@@ -102,7 +128,7 @@ mod tests {
                 })
                 .collect();
             let eye = DVec3::new(rng.random_range(0.0..9.0), 4.0, 0.0);
-            let of = |cubes| selected(&all, eye, &Budget { cubes, triangles: None });
+            let of = |cubes| selected(&all, eye, &Budget { cubes, triangles: None }).cubes;
             for cubes in 0..=count as u32 {
                 let found = of(cubes);
                 assert_eq!(found.len(), cubes as usize);

@@ -109,7 +109,7 @@ fn no_skin_is_ever_drawn_and_a_height_field_has_them() {
     let samples = samples();
     let of = |eye: DVec3| samples.iter().find(|sample| sample.eye == eye).unwrap();
     for keeps_all in [false, true] {
-        let encoded = encode(&samples, &VIEWPOINTS, TOLERANCE_PX, keeps_all);
+        let encoded = encode(&samples, &VIEWPOINTS, TOLERANCE_PX, keeps_all, |_| true);
         assert_eq!(encoded.cubes.len(), samples.len());
         for cube in &encoded.cubes {
             let (all, skins) = triangles_and_skins(of(cube.eye), cube);
@@ -127,12 +127,14 @@ fn no_skin_is_ever_drawn_and_a_height_field_has_them() {
 fn deltas_are_smaller_and_all_that_was_seen_is_still_there() {
     let samples = samples();
     let of = |eye: DVec3| samples.iter().find(|sample| sample.eye == eye).unwrap();
-    let encoded = encode(&samples, &VIEWPOINTS, TOLERANCE_PX, false);
-    let whole = encode(&samples, &VIEWPOINTS, TOLERANCE_PX, true);
+    let encoded = encode(&samples, &VIEWPOINTS, TOLERANCE_PX, false, |_| true);
+    let whole = encode(&samples, &VIEWPOINTS, TOLERANCE_PX, true, |_| true);
     let places = |of: &Encoded| {
         of.cubes.iter().map(|cube| (cube.eye.to_array(), cube.parent)).collect::<Vec<_>>()
     };
     assert_eq!(places(&encoded), places(&whole));
+    let two = encode(&samples, &VIEWPOINTS, TOLERANCE_PX, false, |cubes| cubes.len() < 2);
+    assert_eq!(two.cubes, encoded.cubes[..2]);
     assert_eq!((encoded.points, whole.redundant), (whole.points, 0));
     assert!(encoded.redundant * 2 > encoded.points, "{} redundant", encoded.redundant);
     assert_eq!(encoded.cubes[0], whole.cubes[0], "the intra cube");
