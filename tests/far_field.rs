@@ -9,6 +9,8 @@ use protocol::id::BlobId;
 use scene::store::Store;
 use serde_json::Value;
 use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
 use support::{CPU, Run, Scene, backends, fail, occluster, succeed, text};
 
 /// Poses in the cell that has a far field, and of the whole path.
@@ -287,8 +289,9 @@ fn change(run: &Run, frame: usize) -> f64 {
     (squares.sum::<f64>() / a.len() as f64).sqrt()
 }
 
-#[test]
-fn from_cell_to_cell_no_picture_jumps() {
+/// A place whose path goes from one cell with a far field to another: first pairs of eyes a millionth of a cell apart,
+/// on the border and where the margins end, then steps across.
+fn border() -> Place {
     let mut place = Place::with("itdm", "128");
     let store = Store::open(&place.scene.occ).unwrap();
     let cell = store.skeleton().view_cells[0];
@@ -300,7 +303,6 @@ fn from_cell_to_cell_no_picture_jumps() {
     let side = cell.max[0] - cell.min[0];
     let is_last = cell.max[0] >= store.skeleton().hlods[0].max[0];
     let (border, outwards) = if is_last { (cell.min[0], -side) } else { (cell.max[0], side) };
-    // Pairs of eyes a millionth of it apart: on the border, and where the margins end.
     let ends = [0.0, -1.0, 1.0].map(|share| share * f64::from(cell.margin));
     let pairs = ends.iter().flat_map(|&at| [at - 5e-7, at + 5e-7]);
     let steps = (-10..=10).map(|at| f64::from(at) / 200.0);
@@ -312,9 +314,15 @@ fn from_cell_to_cell_no_picture_jumps() {
     };
     let lines: Vec<String> = pairs.chain(steps).map(through).collect();
     std::fs::write(&place.path, format!("{header}\n{}\n", lines.join("\n"))).unwrap();
+    place.along.clone_from(&place.path);
+    place
+}
+
+#[test]
+fn from_cell_to_cell_no_picture_jumps() {
+    let mut place = border();
     let both = place.scene.file("both.occ");
-    let along = ["--cells-along", text(&place.path), "--far-side", "128"];
-    succeed(&place.bake(&place.plain, &both, "itdm", &along));
+    succeed(&place.bake(&place.plain, &both, "itdm", &["--far-side", "128"]));
     assert_eq!(number(&inspect(&both), "/far_fields/itdm"), 2);
     place.scene.occ = both;
 
@@ -406,6 +414,51 @@ fn a_bake_gives_the_same_bytes_and_replaces_what_was_there() {
     assert_eq!((count("itdm"), count("tdm"), count("cubes")), (0, 1, 1));
     let faces = Store::open(&tdm).unwrap().skeleton().cubes[0].blobs().count() as u64;
     assert_eq!(number(&inspected, "/blobs") - number(&inspect(&place.plain), "/blobs"), faces);
+}
+
+#[test]
+fn a_bake_that_was_cut_short_goes_on_and_none_meets_another() {
+    let place = border();
+    let folder = place.plain.parent().unwrap();
+    let whole = place.scene.file("whole.occ");
+    succeed(&place.bake(&place.plain, &whole, "itdm", &["--far-side", "128"]));
+    let before = names(folder);
+    let output = place.scene.file("cut.occ");
+    let arguments = place.bake(&place.plain, &output, "itdm", &["--far-side", "128"]);
+    let work = folder.join(".cut.occ.far");
+    let kept = work.join("cell-0");
+    for signal in ["INT", "KILL"] {
+        let mut bake = occluster();
+        bake.args(&arguments).stdout(Stdio::null()).stderr(Stdio::piped());
+        let bake = bake.spawn().unwrap();
+        let deadline = Instant::now() + Duration::from_secs(60);
+        while !(kept.exists() && work.join("scene").exists()) {
+            assert!(Instant::now() < deadline, "no cell was ever kept");
+            std::thread::sleep(Duration::from_millis(2));
+        }
+        fail(&arguments, 75, "another bake is writing this scene");
+        let kill = format!("kill -{signal} {}", bake.id());
+        assert!(Command::new("sh").args(["-c", &kill]).status().unwrap().success());
+        let bake = bake.wait_with_output().unwrap();
+        let says = String::from_utf8(bake.stderr).unwrap();
+        if signal == "INT" {
+            assert_eq!(bake.status.code(), Some(1), "{says}");
+            assert!(says.contains(".cut.occ.far") && says.contains("goes on"), "{says}");
+            // The next one begins with it anew, which tells that it is at work.
+            std::fs::remove_file(work.join("scene")).unwrap();
+        }
+        assert!(kept.exists() && !output.exists(), "{signal}: {says}");
+    }
+    // The time that the first cell took is told by the one who took it.
+    let told = std::fs::read(&kept).unwrap();
+    let arguments = [&arguments[..], &["--json"]].concat();
+    let summary: Value = serde_json::from_slice(&succeed(&arguments).stdout).unwrap();
+    let seconds = summary["cells"][0]["seconds"][2].as_f64().unwrap();
+    let number = |bytes: &[u8]| f64::from_le_bytes(bytes.try_into().unwrap());
+    assert!(told.windows(8).any(|at| (number(at) - seconds).abs() < 1e-12 * seconds), "made again");
+    assert!(std::fs::read(&output).unwrap() == std::fs::read(&whole).unwrap(), "other bytes");
+    std::fs::remove_file(&output).unwrap();
+    assert_eq!(names(folder), before, "something is left behind");
 }
 
 #[test]

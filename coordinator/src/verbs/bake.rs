@@ -1,13 +1,13 @@
 //! `bake`: source scene to scene file.
 
-use super::exit::{BAD_DATA, CONFIG, Failure, OrExit, UNAVAILABLE, USAGE};
+use super::exit::{BAD_DATA, CONFIG, Failure, OrExit, TRY_AGAIN, UNAVAILABLE, USAGE};
 use super::interrupt::{During, Work};
 use super::replay::{read_path, word};
 use super::say::{say, say_json};
 use super::{path, scene_file};
-use ::bake::Options;
-use ::bake::far::{FarSummary, Settings};
+use ::bake::far::{FarError, FarSummary, Settings};
 use ::bake::progress::Bars;
+use ::bake::{Options, WorkError};
 use anyhow::anyhow;
 use coordinator::camera_path::{PathKind, cameras};
 use coordinator::config::Bytes;
@@ -117,7 +117,8 @@ pub(crate) fn run(args: Args) -> Result<(), Failure> {
 
 /// Adds far fields to the scene at `baked`.
 fn add_far(args: &Args, options: &Options, baked: &Path) -> Result<FarSummary, Failure> {
-    let _during = During::new(Work::Baking(args.output.clone()));
+    let kept = ::bake::far_folder(&args.output);
+    let _during = During::new(Work::Baking { output: args.output.clone(), kept });
     let store = scene_file::open(baked)?;
     let poses = match &args.cells_along {
         Some(path) => read_path(path)?,
@@ -133,12 +134,18 @@ fn add_far(args: &Args, options: &Options, baked: &Path) -> Result<FarSummary, F
     settings.division.most_triangles = args.far_cell_triangles;
     let mut make = |side: u32| {
         let size = PictureSize { width: side, height: side };
-        node::choose_backend(args.backend, size, options.memory)
+        // One renderer looks for viewpoints, one takes the samples.
+        node::choose_backend(args.backend, size, options.memory / 2)
             .map_err(|error| BackendError::NoAdapter(error.to_string()))
     };
     let work = || ::bake::far::add_far(baked, &args.output, &settings, &mut make, &Bars::default());
     let pool = rayon::ThreadPoolBuilder::new().num_threads(options.jobs).build();
-    pool.or_exit(UNAVAILABLE)?.install(work).map_err(|error| Failure::of(error.kind(), error))
+    pool.or_exit(UNAVAILABLE)?.install(work).map_err(|error| match error {
+        FarError::Work(WorkError::Busy { .. }) => {
+            Failure { code: TRY_AGAIN, error: Some(error.into()) }
+        }
+        _ => Failure::of(error.kind(), error),
+    })
 }
 
 /// Bakes with progress bars on a terminal.
@@ -147,7 +154,8 @@ pub(super) fn bake_file(
     output: &Path,
     options: &Options,
 ) -> Result<::bake::Summary, Failure> {
-    let _during = During::new(Work::Baking(output.to_owned()));
+    let kept = ::bake::working_folder(output);
+    let _during = During::new(Work::Baking { output: output.to_owned(), kept });
     ::bake::bake(inputs, output, options, &Bars::default())
         .map_err(|error| Failure { code: error.exit_code(), error: Some(error.into()) })
 }

@@ -16,6 +16,8 @@ pub(crate) const UNAVAILABLE: u8 = 69;
 pub(crate) const INTERNAL: u8 = 70;
 /// Reading or writing failed.
 pub(crate) const IO: u8 = 74;
+/// Another process is at it.
+pub(crate) const TRY_AGAIN: u8 = 75;
 /// A peer broke the protocol.
 pub(crate) const PROTOCOL: u8 = 76;
 /// A peer without the right, or with another scene.

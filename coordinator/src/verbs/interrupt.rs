@@ -11,7 +11,12 @@ pub(super) enum Work {
     #[default]
     Other,
     /// Writing this scene file.
-    Baking(PathBuf),
+    Baking {
+        /// The file.
+        output: PathBuf,
+        /// Where what is finished is kept.
+        kept: PathBuf,
+    },
     /// A run, which listens for interrupts itself.
     Running,
 }
@@ -58,11 +63,11 @@ fn listen() {
 fn interrupted() {
     match &*work() {
         Work::Running => return,
-        Work::Baking(output) => eprintln!(
+        Work::Baking { output, kept } => eprintln!(
             "occluster: interrupted: {} was not written; what is finished is kept in {}, and the same \
              command goes on from it",
             output.display(),
-            ::bake::working_folder(output).display()
+            kept.display()
         ),
         Work::Other => eprintln!("occluster: interrupted"),
     }

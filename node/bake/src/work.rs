@@ -45,6 +45,12 @@ pub fn working_folder(output: &Path) -> PathBuf {
     output.with_file_name(format!(".{name}.bake"))
 }
 
+/// Where the making of far fields for `output` keeps cells that are finished, until all are.
+pub fn far_folder(output: &Path) -> PathBuf {
+    let name = output.file_name().unwrap_or_default().to_string_lossy();
+    output.with_file_name(format!(".{name}.far"))
+}
+
 /// The folder, locked.
 #[derive(Debug)]
 pub(crate) struct Work {
@@ -56,11 +62,19 @@ pub(crate) struct Work {
 impl Work {
     /// Makes and locks the folder for `output`.
     pub(crate) fn open(output: &Path) -> Result<Self, WorkError> {
+        Self::open_at(working_folder(output), output)
+    }
+
+    /// The one for its far fields.
+    pub(crate) fn open_far(output: &Path) -> Result<Self, WorkError> {
+        Self::open_at(far_folder(output), output)
+    }
+
+    fn open_at(folder: PathBuf, output: &Path) -> Result<Self, WorkError> {
         // Only the last step of a bake would find out.
         if output.is_dir() {
             return Err(WorkError::io(output, io::ErrorKind::IsADirectory.into()));
         }
-        let folder = working_folder(output);
         let at = |source| WorkError::io(&folder, source);
         loop {
             match std::fs::create_dir(&folder) {

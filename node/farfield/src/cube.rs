@@ -10,9 +10,10 @@ use crate::redundancy::Surviving;
 use crate::sample::{FACES, Sample};
 use glam::DVec3;
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
 /// A face that shows something.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct BakedFace {
     /// Its mesh, the triangles of a patch one after another.
     pub mesh: FaceMesh,
@@ -21,7 +22,7 @@ pub struct BakedFace {
 }
 
 /// A cube as it is stored.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct BakedCube {
     /// The sample's viewpoint.
     pub eye: DVec3,

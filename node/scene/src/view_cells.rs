@@ -57,15 +57,15 @@ impl Cells {
         let depths: Vec<f64> =
             self.0.iter().map(|(at, cell, _)| depth(cell, eye, *at == home)).collect();
         let sum: f64 = depths.iter().sum();
+        // Rounded down; what that leaves over is the home's, which therefore has some in any case.
         let all = self.0.iter().zip(depths).map(|((at, _, near), depth)| Composition {
             cell: Some((*at, near)),
-            weight: (depth / sum * f64::from(WHOLE)).round() as u32,
+            weight: (depth / sum * f64::from(WHOLE)) as u32,
         });
-        let mut mixed: Vec<_> = all.filter(|of| of.weight > 0).collect();
-        let first = mixed.iter().position(|of| of.cell.is_some_and(|(at, _)| at == home));
-        mixed.swap(0, first.expect("an eye lies at least an eighth deep in its cell"));
-        // What rounding has added or taken.
-        mixed[0].weight = WHOLE - mixed[1..].iter().map(|of| of.weight).sum::<u32>();
+        let (mut mixed, others): (Vec<_>, Vec<_>) =
+            all.partition(|of| of.cell.is_some_and(|(at, _)| at == home));
+        mixed[0].weight = WHOLE - others.iter().map(|of| of.weight).sum::<u32>();
+        mixed.extend(others.into_iter().filter(|of| of.weight > 0));
         mixed
     }
 
@@ -177,21 +177,20 @@ mod tests {
     fn where_cells_meet_each_has_its_share_and_inside_one_has_all() {
         let mut skeleton = RandomScene::new(1, 2, 8.0).skeleton;
         let [a, b] = [[0.0, 8.0], [8.0, 16.0]].map(|[min, max]| ([min, 0.0, 0.0], [max, 8.0, 8.0]));
-        for (margin, border, inside) in [(0.125, vec![WHOLE / 2; 2], 1.0), (0.0, vec![WHOLE], 0.0)]
-        {
+        for (margin, on_border, inside) in [(0.125, WHOLE / 2, 1.0), (0.0, WHOLE, 0.0)] {
             skeleton.view_cells = [a, b].map(|(min, max)| cell(min, max, margin)).to_vec();
             let cells = Cells::new(&skeleton, METHOD);
             let at = |x: f64| -> Vec<(usize, u32)> {
                 let of = cells.compositions([x, 4.0, 7.5]);
                 of.iter().map(|of| (of.cell.unwrap().0, of.weight)).collect()
             };
-            let weights = |x| at(x).iter().map(|of| of.1).collect::<Vec<_>>();
-            assert_eq!((at(8.0)[0].0, at(8f64.next_down())[0].0), (1, 0));
-            assert_eq!((weights(8.0), weights(8f64.next_down())), (border.clone(), border));
-            assert_eq!(
-                (at(8.0 - inside - 1e-9), at(8.0 + inside)),
-                (vec![(0, WHOLE)], vec![(1, WHOLE)])
-            );
+            for (x, home) in [(8.0, 1), (8f64.next_down(), 0)] {
+                let (of, weight) = at(x)[0];
+                assert!(of == home && weight.abs_diff(on_border) <= 1, "{weight}");
+                assert_eq!(at(x).len() as u32, WHOLE / on_border);
+            }
+            assert_eq!(at(8.0 - inside - 1e-9), [(0, WHOLE)]);
+            assert_eq!(at(8.0 + inside), [(1, WHOLE)]);
         }
         let cells = Cells::new(&skeleton, METHOD);
         assert_eq!(

@@ -17,6 +17,7 @@ use geometry::weld::{Weld, weld};
 use glam::{DVec3, Vec3};
 use protocol::format::projected::SUBPIXELS;
 use protocol::format::vertex::POSITION_MAX;
+use serde::{Deserialize, Serialize};
 
 /// Shares of the tolerance that the simplifier, which only estimates, is given one after another. At the first
 /// most sheets are proven at once, and what strays of the others halves from round to round; the last are for
@@ -41,7 +42,7 @@ pub struct Purpose {
 }
 
 /// A mesh as it is stored.
-#[derive(Debug, Clone, Default, PartialEq)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct FaceMesh {
     /// `u` and `v` in [`SUBPIXELS`] of a pixel, disparity in steps.
     pub vertices: Vec<[u32; 3]>,
@@ -81,6 +82,7 @@ pub fn simplified(dense: &DenseMesh, purpose: &Purpose) -> FaceMesh {
     let whole = Mesh { vertices: vertices.collect(), triangles: dense.triangles.clone() };
     // Nothing is welded but what lies in one place, so triangles are as many as before.
     let mut open = weld(&whole, Weld { depth: 1, ..Weld::within(0.0) });
+    drop(whole);
     let reference = Reference::new(&open, &dense.pixels, side);
     let places = Places::new(&open.vertices, side);
     let mut done = Vec::new();
