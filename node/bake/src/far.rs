@@ -6,11 +6,12 @@
 
 mod cell;
 mod file;
+mod kept;
 mod summary;
 
 use crate::progress::Progress;
 use crate::work::{Work, WorkError};
-use cell::{FarFieldOf, far_field};
+use cell::far_field;
 use farfield::capture::{CaptureError, Studio};
 pub use farfield::cells::CELL_TRIANGLES as DEFAULT_CELL_TRIANGLES;
 use farfield::cells::{Cell, Division, cells_along};
@@ -189,11 +190,11 @@ fn written(
     progress.stage("cells", cells.len() as u64);
     for (cell, number) in cells.iter().zip(0..) {
         let (name, key) = (name_of(number), key_of(number));
-        let made = match work.load(&name, &key).and_then(|bytes| FarFieldOf::decode(&bytes)) {
+        let made = match work.load(&name, &key).and_then(|bytes| kept::decode(&bytes).ok()) {
             Some(made) => made,
             None => {
                 let made = far_field(cell, settings, skeleton, &mut search, &mut fine)?;
-                work.save(&name, &key, &made.encode())?;
+                work.save(&name, &key, &kept::encode(&made))?;
                 made
             }
         };

@@ -10,10 +10,9 @@ use crate::redundancy::Surviving;
 use crate::sample::{FACES, Sample};
 use glam::DVec3;
 use rayon::prelude::*;
-use serde::{Deserialize, Serialize};
 
 /// A face that shows something.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct BakedFace {
     /// Its mesh, the triangles of a patch one after another.
     pub mesh: FaceMesh,
@@ -22,7 +21,7 @@ pub struct BakedFace {
 }
 
 /// A cube as it is stored.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct BakedCube {
     /// The sample's viewpoint.
     pub eye: DVec3,

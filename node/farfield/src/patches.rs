@@ -4,7 +4,6 @@
 use crate::depth_mesh::simplify::FaceMesh;
 use crate::picture::StoredPicture;
 use protocol::format::projected::{SUBPIXELS, TILE};
-use serde::{Deserialize, Serialize};
 use std::ops::Range;
 
 /// Triangles of a patch at most: small enough that a frustum cuts off most of what it does not see, large enough
@@ -12,7 +11,7 @@ use std::ops::Range;
 pub const PATCH_TRIANGLES: usize = 1024;
 
 /// A square of tiles of a face.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Window {
     /// Column and row of its first tile.
     pub at: [u32; 2],
@@ -21,7 +20,7 @@ pub struct Window {
 }
 
 /// Triangles of a face, and the window of the picture that they lie in.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct BakedPatch {
     /// Triangles of the face's mesh.
     pub triangles: Range<usize>,

@@ -5,11 +5,10 @@ use crate::normals::FaceNormals;
 use crate::patches::Window;
 use crate::sample::FacePicture;
 use protocol::format::projected::{SUBPIXELS, TILE, TILE_BYTES};
-use serde::{Deserialize, Serialize};
 use texpresso::{COLOUR_WEIGHTS_UNIFORM, Format, Params};
 
 /// A patch's stored picture ([`protocol::format::projected`]).
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq)]
 pub struct StoredPicture {
     /// By tile of the window, 0 or 1 + its place among the stored.
     pub table: Vec<u32>,

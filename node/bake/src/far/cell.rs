@@ -14,27 +14,13 @@ use protocol::camera::Camera;
 use protocol::format::{Method, Skeleton};
 use protocol::settings::FAR_CUBES;
 use scene::near_field::with_margin;
-use serde::{Deserialize, Serialize};
 use std::time::Instant;
 
 /// A cell's cubes before they are written.
-#[derive(Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq)]
 pub(super) struct FarFieldOf {
     pub(super) cubes: Vec<BakedCube>,
     pub(super) summary: CellSummary,
-}
-
-impl FarFieldOf {
-    pub(super) fn encode(&self) -> Vec<u8> {
-        bincode::serde::encode_to_vec(self, bincode::config::standard())
-            .expect("numbers and lists can be encoded")
-    }
-
-    /// None of what this program has not encoded.
-    pub(super) fn decode(bytes: &[u8]) -> Option<Self> {
-        let decoded = bincode::serde::decode_from_slice(bytes, bincode::config::standard());
-        decoded.ok().map(|(made, _)| made)
-    }
 }
 
 /// Places samples in a cell, takes them, and encodes them until it is plain that they do not pay.

@@ -1,9 +1,9 @@
 //! What a bake of far fields tells.
 
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 
 /// What was made of one cell.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct CellSummary {
     /// Least corner.
     pub min: [f64; 3],

@@ -17,7 +17,6 @@ use geometry::weld::{Weld, weld};
 use glam::{DVec3, Vec3};
 use protocol::format::projected::SUBPIXELS;
 use protocol::format::vertex::POSITION_MAX;
-use serde::{Deserialize, Serialize};
 
 /// Shares of the tolerance that the simplifier, which only estimates, is given one after another. At the first
 /// most sheets are proven at once, and what strays of the others halves from round to round; the last are for
@@ -42,7 +41,7 @@ pub struct Purpose {
 }
 
 /// A mesh as it is stored.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq)]
 pub struct FaceMesh {
     /// `u` and `v` in [`SUBPIXELS`] of a pixel, disparity in steps.
     pub vertices: Vec<[u32; 3]>,
