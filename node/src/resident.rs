@@ -209,6 +209,9 @@ impl Loader {
                 continue;
             }
             let Use { before, foreseen } = self.residency.touch(blob, self.now);
+            if before == self.now {
+                continue;
+            }
             let is_event = foreseen || before.saturating_add(1) < self.now;
             self.counts.hits += 1;
             self.counts.events += u64::from(is_event);

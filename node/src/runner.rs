@@ -285,7 +285,7 @@ impl Runner {
         }
     }
 
-    /// Lets the render thread end what it is at, its pictures included, and waits until the coordinator
+    /// Lets the render thread end its work, after a failure only what it is at, and waits until the coordinator
     /// hangs up: a socket closed with bytes unread is reset, which could cost the other end this node's
     /// last words. A failure is told before the thread ends, success after it.
     async fn leave(
@@ -302,6 +302,7 @@ impl Runner {
         };
         let linked = self.links.contains_key(&Peer::Coordinator);
         if let Err(error) = outcome {
+            self.worker.abandon();
             self.hang_up().await;
             // A coordinator that never hangs up is left all the same, and so is a render thread that
             // never ends; what the thread still says nobody hears.

@@ -17,7 +17,7 @@ use protocol::telemetry::{BackendInfo, CullCounts, DrawCounts, IoCounts};
 use protocol::visible::VisibleSet;
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use tokio::sync::{mpsc, oneshot};
 
 /// Jobs that may wait: a phase has one, and one more that prepares it.
@@ -65,6 +65,7 @@ pub(crate) enum Done {
 pub(crate) struct Worker {
     jobs: Option<crossbeam_channel::Sender<Job>>,
     ended: Option<oneshot::Receiver<Result<(), NodeError>>>,
+    abandoned: Arc<AtomicBool>,
     peak_resident: Arc<AtomicU64>,
 }
 
@@ -75,9 +76,11 @@ impl Worker {
         let (tell_end, ended) = oneshot::channel();
         let peak_resident = Arc::new(AtomicU64::new(0));
         let shared = Arc::clone(&peak_resident);
+        let abandoned = Arc::new(AtomicBool::new(false));
+        let is_abandoned = Arc::clone(&abandoned);
         std::thread::spawn(move || {
             let say = |done| events.blocking_send(Event::Done(done)).map_err(|_| Stop::Unheard);
-            let work = || serve(clock, &inbox, &say, &shared);
+            let work = || serve(clock, &inbox, &say, &is_abandoned, &shared);
             let result = match std::panic::catch_unwind(std::panic::AssertUnwindSafe(work)) {
                 Ok(Err(Stop::Failed(error))) => {
                     // Nobody listens once the session has ended.
@@ -94,7 +97,7 @@ impl Worker {
             };
             let _ = tell_end.send(result);
         });
-        Self { jobs: Some(jobs), ended: Some(ended), peak_resident }
+        Self { jobs: Some(jobs), ended: Some(ended), abandoned, peak_resident }
     }
 
     /// Queues a job. One that comes after the thread has failed is dropped: its failure is on the way.
@@ -107,6 +110,11 @@ impl Worker {
     /// Most bytes of geometry and textures held so far, buffers included.
     pub(crate) fn peak_resident(&self) -> u64 {
         self.peak_resident.load(Ordering::Relaxed)
+    }
+
+    /// Has the thread end after the job it is at, its pictures and the jobs that are queued forgotten.
+    pub(crate) fn abandon(&self) {
+        self.abandoned.store(true, Ordering::Relaxed);
     }
 
     /// Lets the thread end its work and write its last pictures.
@@ -136,6 +144,7 @@ fn serve(
     clock: Clock,
     jobs: &crossbeam_channel::Receiver<Job>,
     say: &dyn Fn(Done) -> Result<(), Stop>,
+    is_abandoned: &AtomicBool,
     peak_resident: &Arc<AtomicU64>,
 ) -> Result<(), Stop> {
     let Ok(Job::Open { settings }) = jobs.recv() else { return Ok(()) };
@@ -144,6 +153,9 @@ fn serve(
     let mut pictures = folder.map(|at| PictureWriter::start(at, settings.size)).transpose()?;
     say(Done::Opened(Opened { scene_digest: digest, backend: stage.backend_info() }))?;
     while let Some(job) = stage.next_job(jobs)? {
+        if is_abandoned.load(Ordering::Relaxed) {
+            return Ok(());
+        }
         let started = clock.now();
         let times = |io: IoCounts| WorkTimes { started, finished: clock.now(), io };
         match job {

@@ -19,7 +19,7 @@ pub struct BackendInfo {
 /// Result of drawing one frame's front with and without occlusion culling on one device.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct Audit {
-    /// Pixels whose colour or depth bits differ.
+    /// Pixels whose colour or depth bits differ; where pictures are mixed, the sum over them.
     pub differing_pixels: u64,
 }
 

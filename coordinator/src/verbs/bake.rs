@@ -118,7 +118,8 @@ pub(crate) fn run(args: Args) -> Result<(), Failure> {
 /// Adds far fields to the scene at `baked`.
 fn add_far(args: &Args, options: &Options, baked: &Path) -> Result<FarSummary, Failure> {
     let kept = ::bake::far_folder(&args.output);
-    let _during = During::new(Work::Baking { output: args.output.clone(), kept });
+    let what = format!("{} with far fields", args.output.display());
+    let _during = During::new(Work::Baking { what, kept });
     let store = scene_file::open(baked)?;
     let poses = match &args.cells_along {
         Some(path) => read_path(path)?,
@@ -155,7 +156,7 @@ pub(super) fn bake_file(
     options: &Options,
 ) -> Result<::bake::Summary, Failure> {
     let kept = ::bake::working_folder(output);
-    let _during = During::new(Work::Baking { output: output.to_owned(), kept });
+    let _during = During::new(Work::Baking { what: output.display().to_string(), kept });
     ::bake::bake(inputs, output, options, &Bars::default())
         .map_err(|error| Failure { code: error.exit_code(), error: Some(error.into()) })
 }

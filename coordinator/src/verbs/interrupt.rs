@@ -10,10 +10,10 @@ pub(super) enum Work {
     /// Nothing that needs care.
     #[default]
     Other,
-    /// Writing this scene file.
+    /// Baking something.
     Baking {
-        /// The file.
-        output: PathBuf,
+        /// What is to be written.
+        what: String,
         /// Where what is finished is kept.
         kept: PathBuf,
     },
@@ -63,10 +63,9 @@ fn listen() {
 fn interrupted() {
     match &*work() {
         Work::Running => return,
-        Work::Baking { output, kept } => eprintln!(
-            "occluster: interrupted: {} was not written; what is finished is kept in {}, and the same \
+        Work::Baking { what, kept } => eprintln!(
+            "occluster: interrupted before {what} was written; what is finished is kept in {}, and the same \
              command goes on from it",
-            output.display(),
             kept.display()
         ),
         Work::Other => eprintln!("occluster: interrupted"),

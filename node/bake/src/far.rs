@@ -25,7 +25,7 @@ use scene::store::{OpenError, Store, StoreError};
 use std::path::{Path, PathBuf};
 pub use summary::{CellSummary, FarSummary};
 
-/// Raised whenever the same settings give other bytes.
+/// Counts up whenever the same settings would give other bytes, or kept cells would be read in another way.
 const FAR_VERSION: u32 = 2;
 
 /// What is made.
@@ -161,7 +161,7 @@ fn name_of(cell: u32) -> String {
     format!("cell-{cell}")
 }
 
-/// Makes the far fields of `cells`, those that are kept aside, and the file with all of it.
+/// Makes those far fields of `cells` that are not kept, then the file with all of them.
 fn written(
     store: &Store,
     output: &Path,
@@ -185,25 +185,32 @@ fn written(
     let mut fine = if settings.relight { fine.with_normals() } else { fine };
     let key = settings.key(skeleton.info.key);
     let key_of = keys_of_cells(&key, &renderer);
-    let mut file = FarFile::begin(store, &work.path(SCENE), output)?;
-    let mut summary = FarSummary::default();
+    let kept = |number| {
+        let bytes = work.load(&name_of(number), &key_of(number))?;
+        kept::decode(&bytes).ok()
+    };
     progress.stage("cells", cells.len() as u64);
     for (cell, number) in cells.iter().zip(0..) {
-        let (name, key) = (name_of(number), key_of(number));
-        let made = match work.load(&name, &key).and_then(|bytes| kept::decode(&bytes).ok()) {
-            Some(made) => made,
-            None => {
-                let made = far_field(cell, settings, skeleton, &mut search, &mut fine)?;
-                work.save(&name, &key, &kept::encode(&made))?;
-                made
-            }
-        };
-        summary.cells.push(file.add(made, settings)?);
+        if kept(number).is_none() {
+            let made = far_field(cell, settings, skeleton, &mut search, &mut fine)?;
+            work.save(&name_of(number), &key_of(number), &kept::encode(&made))?;
+        }
         progress.advance(1);
     }
     progress.finish();
+    let mut file = FarFile::begin(store, &work.path(SCENE), output)?;
+    let mut summary = FarSummary::default();
+    for number in 0..cells.len() as u32 {
+        let made =
+            kept(number).ok_or_else(|| WorkError::io(&work.path(&name_of(number)), torn()))?;
+        summary.cells.push(file.add(made, settings)?);
+    }
     summary.file_bytes = file.finish(key)?;
     Ok(summary)
+}
+
+fn torn() -> std::io::Error {
+    std::io::Error::new(std::io::ErrorKind::InvalidData, "it has changed since it was written")
 }
 
 /// Digests of all that a cell's cubes depend on, by its number.

@@ -87,7 +87,11 @@ impl FarField for Cubes {
         let in_view: Vec<Vec<_>> = cubes.iter().map(in_view).collect();
         let triangles =
             |at: usize| in_view[at].iter().map(|(_, _, patch)| u64::from(patch.triangles)).sum();
-        let chosen = self.selected(cell, camera.eye, &self.budget, triangles);
+        // Pictures that are mixed share the triangles.
+        let pictures = self.cells.compositions(camera.eye).len() as u64;
+        let most = self.budget.triangles.map(|most| most / pictures);
+        let budget = Budget { triangles: most, ..self.budget };
+        let chosen = self.selected(cell, camera.eye, &budget, triangles);
         let of_cube = |(place, at): (usize, usize)| {
             let cube = &cubes[at];
             let back = if place < chosen.path { 0.0 } else { set_back(cube.side) };

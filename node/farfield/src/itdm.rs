@@ -28,7 +28,7 @@ impl Method for Itdm {
 pub struct Encoded {
     /// The intra cube first, every other behind the one it depends on.
     pub cubes: Vec<BakedCube>,
-    /// Points of all samples that show something.
+    /// Points of the samples of these cubes that show something.
     pub points: u64,
     /// Of those, points of delta samples that an ancestor has seen.
     pub redundant: u64,

@@ -62,6 +62,9 @@ impl NearField {
 
 /// The corners of the box of a cell with its margin ([`ViewCell::margin`]): what its near field reaches into.
 pub fn with_margin(min: [f64; 3], max: [f64; 3], margin: f32) -> [[f64; 3]; 2] {
+    if margin == 0.0 {
+        return [min, max];
+    }
     let band: [f64; 3] = std::array::from_fn(|k| f64::from(margin) * (max[k] - min[k]));
     [std::array::from_fn(|k| min[k] - band[k]), std::array::from_fn(|k| max[k] + band[k])]
 }

@@ -7,6 +7,8 @@ use protocol::id::HlodId;
 
 /// Sum of the weights of the compositions of a picture.
 pub const WHOLE: u32 = 1 << 16;
+/// Compositions of a picture at most: as many cells as meet in a corner.
+const MOST: usize = 8;
 
 /// One way to put together what an eye sees. Where cells meet there are several, and the picture is a mix of theirs.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -57,15 +59,18 @@ impl Cells {
         let depths: Vec<f64> =
             self.0.iter().map(|(at, cell, _)| depth(cell, eye, *at == home)).collect();
         let sum: f64 = depths.iter().sum();
-        // Rounded down; what that leaves over is the home's, which therefore has some in any case.
+        // Rounded down; what is left over is the home's, which therefore has some in any case.
         let all = self.0.iter().zip(depths).map(|((at, _, near), depth)| Composition {
             cell: Some((*at, near)),
             weight: (depth / sum * f64::from(WHOLE)) as u32,
         });
-        let (mut mixed, others): (Vec<_>, Vec<_>) =
+        let (mut mixed, mut others): (Vec<_>, Vec<_>) =
             all.partition(|of| of.cell.is_some_and(|(at, _)| at == home));
+        others.retain(|of| of.weight > 0);
+        others.sort_by_key(|of| std::cmp::Reverse(of.weight));
+        others.truncate(MOST - 1);
         mixed[0].weight = WHOLE - others.iter().map(|of| of.weight).sum::<u32>();
-        mixed.extend(others.into_iter().filter(|of| of.weight > 0));
+        mixed.append(&mut others);
         mixed
     }
 
@@ -77,8 +82,8 @@ impl Cells {
     }
 }
 
-/// How deep `eye` lies in a cell with its margin: 1 where all margins of neighbours end, a half on its faces, 0 where
-/// its own ends. Without one a cell is `home` or nothing.
+/// How deep `eye` lies in a cell with its margin: 1 from where it is as far from all faces as the margin is wide, a half
+/// on a face, 0 where the margin ends. Without one a cell is `home` or nothing.
 fn depth(cell: &ViewCell, eye: [f64; 3], home: bool) -> f64 {
     if cell.margin == 0.0 {
         return f64::from(u8::from(home));
@@ -197,6 +202,16 @@ mod tests {
             cells.compositions([4.0, 4.0, 9.0]),
             [Composition { cell: None, weight: WHOLE }]
         );
+    }
+
+    #[test]
+    fn no_file_makes_more_pictures_than_cells_meet_in_a_corner() {
+        let mut skeleton = RandomScene::new(1, 2, 8.0).skeleton;
+        skeleton.view_cells = vec![cell([0.0; 3], [8.0; 3], 0.25); 500];
+        let cells = Cells::new(&skeleton, METHOD);
+        let of = cells.compositions([4.0; 3]);
+        assert_eq!((of.len(), of[0].cell.unwrap().0), (MOST, 0));
+        assert_eq!(of.iter().map(|of| of.weight).sum::<u32>(), WHOLE);
     }
 
     #[test]

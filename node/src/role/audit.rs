@@ -37,7 +37,8 @@ pub(crate) fn measure(
         match &items {
             Some(items) => seen.extend(items.hlods()),
             // A mesh cannot be read any more: the next picture shows something else.
-            None => seen.extend(layer.shown.iter().map(|entry| entry.hlod.0)),
+            None if counted => seen.extend(layer.shown.iter().map(|entry| entry.hlod.0)),
+            None => {}
         }
         if !is_whole {
             stand_in_error_px = stray(stage, camera, layer, items)?.max(stand_in_error_px);

@@ -65,15 +65,25 @@ pub(crate) fn run(
         let far_triangles = stage.far_triangles(&draws);
         counts.far_triangles += far_triangles;
         counts.triangles += stage.triangles(&shown.entries) + far_triangles;
-        counts.missing.replaced += shown.replaced.len() as u32;
         counts.missing.holes += shown.holes;
         let (shown, replaced) = (shown.entries, shown.replaced);
         layers.push(Layer { weight: of.weight, picture, draws, shown, replaced });
     }
-    let shown = layers.iter().flat_map(|layer| &layer.shown).map(|entry| entry.hlod);
-    counts.hlods = shown.collect::<BTreeSet<_>>().len() as u32;
+    counts.hlods = distinct(&layers, |layer| layer.shown.iter().map(|entry| entry.hlod));
+    counts.missing.replaced = distinct(&layers, |layer| layer.replaced.iter().map(|(id, _)| *id));
     let mix = (layers.len() > 1).then(|| mixed(&layers));
     Ok(Drawn { counts, layers, mix })
+}
+
+/// How many hlods there are in all of the layers.
+fn distinct<'a, I: ExactSizeIterator<Item = HlodId>>(
+    layers: &'a [Layer],
+    of: impl Fn(&'a Layer) -> I,
+) -> u32 {
+    match layers {
+        [only] => of(only).len() as u32,
+        _ => layers.iter().flat_map(of).collect::<BTreeSet<_>>().len() as u32,
+    }
 }
 
 /// Every channel by the layers' weights, rounded. What all show alike stays as it is.

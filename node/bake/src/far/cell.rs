@@ -77,6 +77,7 @@ pub(super) fn far_field(
         max: cell.max.to_array(),
         kept: pays(&cubes),
         samples: eyes.len(),
+        cubes: cubes.len(),
         objective,
         points,
         redundant,

@@ -50,7 +50,7 @@ pub(super) fn decode(bytes: &[u8]) -> Result<FarFieldOf, Torn> {
 fn put_summary(out: &mut Encoder, summary: &CellSummary) {
     out.put([summary.min, summary.max]);
     out.put(u8::from(summary.kept));
-    out.put(summary.samples as u64);
+    out.put([summary.samples as u64, summary.cubes as u64]);
     out.put_slice(&summary.objective);
     out.put([summary.points, summary.redundant, summary.triangles, summary.bytes]);
     out.put([summary.cubes_in_view, summary.geometry_in_view, summary.near_triangles]);
@@ -60,7 +60,7 @@ fn put_summary(out: &mut Encoder, summary: &CellSummary) {
 fn take_summary(from: &mut Decoder<'_>) -> Result<CellSummary, Torn> {
     let [min, max] = from.take()?;
     let kept = from.take::<u8>()? != 0;
-    let samples = from.take::<u64>()? as usize;
+    let [samples, cubes] = from.take::<[u64; 2]>()?.map(|count| count as usize);
     let objective = from.take_slice()?;
     let [points, redundant, triangles, bytes] = from.take()?;
     let [cubes_in_view, geometry_in_view, near_triangles] = from.take()?;
@@ -70,6 +70,7 @@ fn take_summary(from: &mut Decoder<'_>) -> Result<CellSummary, Torn> {
         max,
         kept,
         samples,
+        cubes,
         objective,
         points,
         redundant,
@@ -140,7 +141,8 @@ mod tests {
             min: [0.1, 0.2, 0.3],
             max: [1.1, 1.2, 1.3],
             kept: true,
-            samples: 2,
+            samples: 3,
+            cubes: 2,
             objective: vec![0.9, 0.1],
             points: 1,
             redundant: 2,

@@ -13,10 +13,12 @@ pub struct CellSummary {
     pub kept: bool,
     /// Samples.
     pub samples: usize,
+    /// Cubes made of them: fewer where geometry turned out to be cheaper before all were.
+    pub cubes: usize,
     /// Greatest void surface seen from any candidate after the corners, then after each further
     /// sample, steradians.
     pub objective: Vec<f64>,
-    /// Points of all samples.
+    /// Points of the samples that cubes were made of.
     pub points: u64,
     /// Of those, removed.
     pub redundant: u64,
@@ -52,7 +54,11 @@ impl std::fmt::Display for FarSummary {
             let shown: Vec<String> = cell.objective.iter().map(|sr| format!("{sr:.2}")).collect();
             writeln!(f, "  samples       {}, unseen sr {}", cell.samples, shown.join(" "))?;
             let removed = 100.0 * cell.redundant as f64 / cell.points.max(1) as f64;
-            writeln!(f, "  points        {}, {removed:.1}% redundant", cell.points)?;
+            writeln!(
+                f,
+                "  points        {} of {} cubes, {removed:.1}% redundant",
+                cell.points, cell.cubes
+            )?;
             let fate = match (cell.kept, cell.cubes_in_view < cell.geometry_in_view) {
                 (true, true) => "kept",
                 (true, false) => "geometry is cheaper: kept all the same",

@@ -76,7 +76,7 @@ fn check_owners(skeleton: &Skeleton) -> Result<(), Violation> {
     Ok(())
 }
 
-/// No two view cells share more than a face, so that every viewpoint inside has one far field.
+/// No two view cells share more than a face, so that every viewpoint inside is at home in one.
 ///
 /// Cells are held against those that begin, along x, before they end: the more there are side by side, the
 /// longer it takes, so this is left to whoever reads or writes a whole file. [`super::check()`] has passed.
