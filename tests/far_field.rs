@@ -511,9 +511,13 @@ fn what_cannot_be_baked_is_refused_and_leaves_nothing() {
     std::fs::write(&outside, format!("{header}\n9e6,9e6,9e6,0,0,0,0,1,0,60\n")).unwrap();
     let along = ["--far-side", "16", "--cells-along", text(&outside)];
     refused(&place.plain, &along, 65, "scene.occ: none of the viewpoints lies inside");
+    refused(&source, &along, 65, "none of the viewpoints lies inside");
     refused(&place.scene.file("absent.occ"), &[], 66, "absent.occ");
     let along = place.scene.file("absent.csv");
-    refused(&place.plain, &["--cells-along", text(&along)], 66, "absent.csv");
+    for input in [&place.plain, &source] {
+        refused(input, &["--cells-along", text(&along)], 66, "absent.csv");
+    }
+    refused(&place.scene.file("absent.glb"), &[], 66, "absent.glb");
     let foreign = place.scene.file("foreign.occ");
     std::fs::write(&foreign, "no scene at all").unwrap();
     refused(&foreign, &[], 65, "foreign.occ");

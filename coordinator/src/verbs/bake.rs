@@ -1,6 +1,6 @@
 //! `bake`: source scene to scene file.
 
-use super::exit::{BAD_DATA, CONFIG, Failure, OrExit, TRY_AGAIN, UNAVAILABLE, USAGE};
+use super::exit::{BAD_DATA, CONFIG, Failure, IO, OrExit, TRY_AGAIN, UNAVAILABLE, USAGE};
 use super::interrupt::{During, Work};
 use super::replay::{read_path, word};
 use super::say::{say, say_json};
@@ -9,7 +9,7 @@ use ::bake::far::{FarError, FarSummary, Settings};
 use ::bake::progress::Bars;
 use ::bake::{Options, WorkError};
 use anyhow::anyhow;
-use coordinator::camera_path::{PathKind, cameras};
+use coordinator::camera_path::{PathKind, Pose, cameras};
 use coordinator::config::Bytes;
 use protocol::camera::near_plane;
 use protocol::format::Method;
@@ -104,25 +104,37 @@ pub(crate) fn run(args: Args) -> Result<(), Failure> {
     let is_baked = args.inputs.len() == 1
         && args.far != Method::None
         && args.inputs[0].extension().is_some_and(|extension| extension == "occ");
-    let baked = if is_baked { &args.inputs[0] } else { &args.output };
-    if !is_baked {
+    if args.far == Method::None {
         let summary = bake_file(&args.inputs, &args.output, &options)?;
-        if args.far == Method::None {
-            return if args.json { say_json(&summary) } else { say(summary) };
-        }
+        return if args.json { say_json(&summary) } else { say(summary) };
     }
-    let summary = add_far(&args, &options, baked)?;
+    let poses = args.cells_along.as_deref().map(read_path).transpose()?;
+    let summary = if is_baked {
+        add_far(&args, &options, &args.inputs[0], poses)?
+    } else {
+        let plain = ::bake::plain_scene(&args.output).or_exit(IO)?;
+        bake_file(&args.inputs, &plain, &options).inspect_err(|_| {
+            // It goes where nothing is kept in it.
+            let _ = std::fs::remove_dir(::bake::far_folder(&args.output));
+        })?;
+        add_far(&args, &options, &plain, poses)?
+    };
     if args.json { say_json(&summary) } else { say(summary) }
 }
 
-/// Adds far fields to the scene at `baked`.
-fn add_far(args: &Args, options: &Options, baked: &Path) -> Result<FarSummary, Failure> {
+/// Adds far fields to the scene at `baked`, for the cells of `poses` or of a walk.
+fn add_far(
+    args: &Args,
+    options: &Options,
+    baked: &Path,
+    poses: Option<Vec<Pose>>,
+) -> Result<FarSummary, Failure> {
     let kept = ::bake::far_folder(&args.output);
     let what = format!("{} with far fields", args.output.display());
     let _during = During::new(Work::Baking { what, kept });
     let store = scene_file::open(baked)?;
-    let poses = match &args.cells_along {
-        Some(path) => read_path(path)?,
+    let poses = match poses {
+        Some(poses) => poses,
         None => path::poses(&store, PathKind::Walk, WALKED_POSES, 1)?,
     };
     let near = near_plane(store.skeleton().diagonal());

@@ -14,7 +14,7 @@ use crate::work::{Work, WorkError};
 use cell::far_field;
 use farfield::capture::{CaptureError, Studio};
 pub use farfield::cells::CELL_TRIANGLES as DEFAULT_CELL_TRIANGLES;
-use farfield::cells::{Cell, Division, cells_along};
+use farfield::cells::{Division, cells_along};
 use file::FarFile;
 use glam::DVec3;
 use protocol::camera::{Camera, near_plane};
@@ -137,13 +137,8 @@ pub fn add_far(
     progress: &dyn Progress,
 ) -> Result<FarSummary, FarError> {
     let store = Store::open(input)?;
-    let viewpoints: Vec<DVec3> = settings.views.iter().map(|view| view.eye.into()).collect();
-    let cells = cells_along(store.skeleton(), &viewpoints, &settings.division);
-    if cells.is_empty() {
-        return Err(FarError::Nowhere(input.to_owned()));
-    }
     let work = Work::open_far(output)?;
-    let done = written(&store, output, settings, &cells, &work, make_backend, progress);
+    let done = written(&store, output, settings, &work, make_backend, progress);
     match &done {
         Ok(_) => work.remove()?,
         // Better told than that traces cannot be removed.
@@ -161,17 +156,21 @@ fn name_of(cell: u32) -> String {
     format!("cell-{cell}")
 }
 
-/// Makes those far fields of `cells` that are not kept, then the file with all of them.
+/// Makes the cells that are not kept, then the file with all of them.
 fn written(
     store: &Store,
     output: &Path,
     settings: &Settings,
-    cells: &[Cell],
     work: &Work,
     make_backend: &mut MakeBackend<'_>,
     progress: &dyn Progress,
 ) -> Result<FarSummary, FarError> {
     let skeleton = store.skeleton();
+    let viewpoints: Vec<DVec3> = settings.views.iter().map(|view| view.eye.into()).collect();
+    let cells = cells_along(skeleton, &viewpoints, &settings.division);
+    if cells.is_empty() {
+        return Err(FarError::Nowhere(store.path().to_owned()));
+    }
     // That of pictures.
     let near = near_plane(skeleton.diagonal()) as f32;
     let mut renderer = String::new();

@@ -28,4 +28,4 @@ mod work;
 pub use options::Options;
 pub use pipeline::{BakeError, bake, bake_scene};
 pub use summary::Summary;
-pub use work::{WorkError, far_folder, working_folder};
+pub use work::{WorkError, far_folder, plain_scene, working_folder};

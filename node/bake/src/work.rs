@@ -51,6 +51,17 @@ pub fn far_folder(output: &Path) -> PathBuf {
     output.with_file_name(format!(".{name}.far"))
 }
 
+/// Where the scene lies that far fields are added to before it becomes `output`: in [`far_folder`], which is made.
+pub fn plain_scene(output: &Path) -> Result<PathBuf, WorkError> {
+    let folder = far_folder(output);
+    match std::fs::create_dir(&folder) {
+        Err(error) if error.kind() != io::ErrorKind::AlreadyExists => {
+            Err(WorkError::io(&folder, error))
+        }
+        _ => Ok(folder.join("plain.occ")),
+    }
+}
+
 /// The folder, locked.
 #[derive(Debug)]
 pub(crate) struct Work {
