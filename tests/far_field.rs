@@ -280,11 +280,7 @@ fn more_cubes_cost_more_and_are_not_worse_and_budgets_are_kept() {
 
 /// Root of the mean squared change of a channel from a frame to the next.
 fn change(run: &Run, frame: usize) -> f64 {
-    let picture = |frame: usize| {
-        let file = run.out.join(format!("frames/{frame:06}.png"));
-        image::open(file).unwrap().to_rgb8().into_raw()
-    };
-    let (a, b) = (picture(frame), picture(frame + 1));
+    let (a, b) = (run.picture(frame).into_raw(), run.picture(frame + 1).into_raw());
     let squares = a.iter().zip(&b).map(|(a, b)| f64::from(a.abs_diff(*b)).powi(2));
     (squares.sum::<f64>() / a.len() as f64).sqrt()
 }

@@ -81,14 +81,10 @@ fn sky() -> [u8; 3] {
     })
 }
 
-fn picture(run: &Run, frame: usize) -> RgbImage {
-    image::open(run.out.join(format!("frames/{frame:06}.png"))).unwrap().to_rgb8()
-}
-
 /// Root of the mean squared change of a channel from one frame to the next.
 fn change(run: &Run, frame: usize) -> f64 {
     let mut sum = Error::default();
-    sum.add(&picture(run, frame + 1), &picture(run, frame));
+    sum.add(&run.picture(frame + 1), &run.picture(frame));
     (sum.squares / (3.0 * sum.pixels)).sqrt()
 }
 
@@ -132,9 +128,7 @@ fn measure(name: &str, scene: &mut Scene) {
         let run = replay(&format!("variant-{number}"), options);
         let original = runs.first().unwrap_or(&run);
         let mut error = Error::default();
-        (0..WALKED)
-            .step_by(STEP)
-            .for_each(|at| error.add(&picture(&run, at), &picture(original, at)));
+        (0..WALKED).step_by(STEP).for_each(|at| error.add(&run.picture(at), &original.picture(at)));
         println!(
             "{what:<33}{:>9.1}{:>9.1}{:>12.0}{:>10.0}{:>8.1}{:>8.1}{:>10.2}{:>8.2}",
             run.number("/latency_ms/rvg/p50"),

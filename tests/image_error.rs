@@ -111,9 +111,7 @@ fn walked(walk: &Walk<'_>, lod: &str, keep: Option<&Path>) -> Walked {
         scene.replay(&format!("lod-{lod}"), &[shared.as_slice(), &ours].concat())
     });
     let compared = (0..frames).map(|frame| {
-        let name = format!("frames/{frame:06}.png");
-        let [before, after] =
-            [&original, &coarse].map(|run| image::open(run.out.join(&name)).unwrap().into_rgb8());
+        let [before, after] = [&original, &coarse].map(|run| run.picture(frame as usize));
         let compared = Compared::new(&before, &after);
         if let Some(folder) = keep {
             std::fs::create_dir_all(folder).unwrap();

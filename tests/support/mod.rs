@@ -139,6 +139,11 @@ pub(crate) struct Run {
 }
 
 impl Run {
+    /// The picture of a frame.
+    pub(crate) fn picture(&self, frame: usize) -> image::RgbImage {
+        image::open(self.out.join(format!("frames/{frame:06}.png"))).unwrap().into_rgb8()
+    }
+
     /// Reads a run's folder.
     pub(crate) fn read(out: &Path) -> Self {
         let summary =

@@ -101,13 +101,12 @@ pub(crate) fn run(args: Args) -> Result<(), Failure> {
     options.jobs = args.jobs.unwrap_or(options.jobs);
     options.memory = args.memory.map_or(options.memory, |memory| memory.0);
     options.seed = args.seed.unwrap_or(options.seed);
-    let is_baked = args.inputs.len() == 1
-        && args.far != Method::None
-        && args.inputs[0].extension().is_some_and(|extension| extension == "occ");
     if args.far == Method::None {
         let summary = bake_file(&args.inputs, &args.output, &options)?;
         return if args.json { say_json(&summary) } else { say(summary) };
     }
+    let is_baked = args.inputs.len() == 1
+        && args.inputs[0].extension().is_some_and(|extension| extension == "occ");
     let poses = args.cells_along.as_deref().map(read_path).transpose()?;
     let summary = if is_baked {
         add_far(&args, &options, &args.inputs[0], poses)?
@@ -138,6 +137,7 @@ fn add_far(
         None => path::poses(&store, PathKind::Walk, WALKED_POSES, 1)?,
     };
     let near = near_plane(store.skeleton().diagonal());
+    drop(store);
     let views = cameras(&poses, near).or_exit(BAD_DATA)?;
     let mut settings = Settings::new(args.far, views);
     (settings.side, settings.in_space) = (args.far_side, args.far_in_space);

@@ -9,6 +9,7 @@ mod file;
 mod kept;
 mod summary;
 
+use crate::bytes::Torn;
 use crate::progress::Progress;
 use crate::work::{Work, WorkError};
 use cell::far_field;
@@ -201,15 +202,11 @@ fn written(
     let mut summary = FarSummary::default();
     for number in 0..cells.len() as u32 {
         let made =
-            kept(number).ok_or_else(|| WorkError::io(&work.path(&name_of(number)), torn()))?;
+            kept(number).ok_or_else(|| WorkError::io(&work.path(&name_of(number)), Torn.into()))?;
         summary.cells.push(file.add(made, settings)?);
     }
     summary.file_bytes = file.finish(key)?;
     Ok(summary)
-}
-
-fn torn() -> std::io::Error {
-    std::io::Error::new(std::io::ErrorKind::InvalidData, "it has changed since it was written")
 }
 
 /// Digests of all that a cell's cubes depend on, by its number.

@@ -88,8 +88,8 @@ impl FarField for Cubes {
         let triangles =
             |at: usize| in_view[at].iter().map(|(_, _, patch)| u64::from(patch.triangles)).sum();
         // Pictures that are mixed share the triangles.
-        let pictures = self.cells.compositions(camera.eye).len() as u64;
-        let most = self.budget.triangles.map(|most| most / pictures);
+        let pictures = || self.cells.compositions(camera.eye).len() as u64;
+        let most = self.budget.triangles.map(|most| most / pictures());
         let budget = Budget { triangles: most, ..self.budget };
         let chosen = self.selected(cell, camera.eye, &budget, triangles);
         let of_cube = |(place, at): (usize, usize)| {

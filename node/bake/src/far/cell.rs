@@ -59,30 +59,34 @@ pub(super) fn far_field(
     let encoding = Instant::now();
     let views = views_of(cell, settings);
     let geometry_in_view = views.of_geometry(skeleton, &cell.near);
-    let pays = |cubes: &[BakedCube]| settings.always || views.of_cubes(cubes) < geometry_in_view;
     let (cubes, points, redundant) = match settings.method {
         Method::Tdm => (vec![tdm::encode(&samples[0], &viewpoints, settings.tolerance_px)], 0, 0),
         _ => {
             let tolerance = settings.tolerance_px;
             // The first cube is drawn from everywhere, all of them where they are few.
             let are_few = samples.len() <= FAR_CUBES as usize;
-            let goes_on = |cubes: &[BakedCube]| (cubes.len() > 1 && !are_few) || pays(cubes);
+            let goes_on = |cubes: &[BakedCube]| {
+                settings.always
+                    || (cubes.len() > 1 && !are_few)
+                    || views.of_cubes(cubes) < geometry_in_view
+            };
             let encoded =
                 itdm::encode(&samples, &viewpoints, tolerance, settings.all_intra, goes_on);
             (encoded.cubes, encoded.points, encoded.redundant)
         }
     };
+    let cubes_in_view = views.of_cubes(&cubes);
     let summary = CellSummary {
         min: cell.min.to_array(),
         max: cell.max.to_array(),
-        kept: pays(&cubes),
+        kept: settings.always || cubes_in_view < geometry_in_view,
         samples: eyes.len(),
         cubes: cubes.len(),
         objective,
         points,
         redundant,
         triangles: cubes.iter().map(BakedCube::triangles).sum(),
-        cubes_in_view: views.of_cubes(&cubes),
+        cubes_in_view,
         geometry_in_view,
         near_triangles: cell.near.triangles(skeleton),
         bytes: 0,

@@ -1,6 +1,6 @@
 //! Passes in parts, with meshes evicted and uploaded between them, against the same passes whole.
 
-use crate::support::{backend_within, random_box, run, vertex, view};
+use crate::support::{backend_within, lit_with_depth, random_box, run, vertex, view};
 use protocol::format::texture::mips;
 use protocol::format::vertex::Layout;
 use protocol::format::{Blob, Class, NONE, Texture, TexturedVertex};
@@ -144,13 +144,7 @@ fn seen(
     let mut held: Vec<u32> = Vec::new();
     let mut answers = Vec::new();
     let kinds: [fn(_, Draws, Part) -> Pass; 4] = [
-        |view, draws, part| Pass::Shade {
-            view,
-            shading: Shading::default(),
-            draws,
-            with_depth: true,
-            part,
-        },
+        lit_with_depth,
         |view, draws, part| Pass::Shade {
             view,
             shading: Shading::Normals,

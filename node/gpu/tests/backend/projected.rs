@@ -4,7 +4,8 @@ use crate::faces::{
     ACROSS, Both, FULL, Face, PIXELS, SIDE, STEP, VIEW, corner, plain, point, seen,
 };
 use crate::support::{
-    Mesh, NEAR, backend_within, draw, occluders, plain_blob, run, shade, vertex, view, visible,
+    Mesh, NEAR, backend_within, draw, lit_with_depth, occluders, plain_blob, run, shade, vertex,
+    view, visible,
 };
 use protocol::format::texture::mips;
 use protocol::format::vertex::Layout;
@@ -345,16 +346,8 @@ fn parts_change_nothing(backend: &mut impl Backend) {
     let mut draws: Vec<Draw> = (0..4).map(|id| seen(id, [0.1 * f64::from(id), 0.0, 0.1])).collect();
     draws.insert(2, draw(4, 4, [1.0; 3], [-0.5, -0.5, -2.0]));
     let solid = |draws: &[Draw]| Draws { solid: draws.to_vec(), ..Draws::default() };
-    let kinds: [fn(_, Draws, Part) -> Pass; 2] = [
-        |view, draws, part| Pass::Shade {
-            view,
-            shading: Shading::default(),
-            draws,
-            with_depth: true,
-            part,
-        },
-        |view, draws, part| Pass::Items { view, draws, part },
-    ];
+    let kinds: [fn(_, Draws, Part) -> Pass; 2] =
+        [lit_with_depth, |view, draws, part| Pass::Items { view, draws, part }];
     for kind in kinds {
         let whole = run(backend, kind(view, solid(&draws), Part::WHOLE));
         for cut in 1..5 {

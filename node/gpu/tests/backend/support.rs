@@ -212,3 +212,8 @@ pub(crate) fn picture(
         other => panic!("a picture expected, not {other:?}"),
     }
 }
+
+/// A part of a picture under the default sun, and its depth.
+pub(crate) fn lit_with_depth(view: View, draws: Draws, part: Part) -> Pass {
+    Pass::Shade { view, shading: Shading::default(), draws, with_depth: true, part }
+}
