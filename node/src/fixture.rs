@@ -95,7 +95,14 @@ pub(crate) fn write(path: &Path, pieces: &[Piece], textured: bool) -> Finished {
             linear[k][k] = max[k] - min[k];
         }
         transforms.push(Transform { linear, translation: min });
-        levels.push(Level { error: 0.0, first_part: place, part_count: 1, triangles, reserved: 0 });
+        let extent = [0, 1, 2].map(|k| max[k] - min[k]);
+        levels.push(Level {
+            error: 0.0,
+            first_part: place,
+            part_count: 1,
+            triangles,
+            longest_edge: extent.map(|side| side * side).iter().sum::<f64>().sqrt() as f32 * 1.001,
+        });
         parts.push(Part { blob, transform: place });
         hlods.push(Hlod {
             min: piece.bounds[0],

@@ -177,10 +177,10 @@ impl Runner {
             Done::Occluded { frame, times, counts } => {
                 self.node.handle_occluded(now, frame, times, counts);
             }
-            Done::CulledPart { frame, part } => {
-                self.node.handle_culled_part(now, frame, part.through, &part.visible);
-            }
-            Done::Culled { frame, times, counts } => {
+            Done::Culled { frame, visible, times, counts } => {
+                if let Some(&last) = visible.ids().last() {
+                    self.node.handle_culled_part(now, frame, last, visible.ids());
+                }
                 self.node.handle_culled(now, frame, times, counts);
             }
             Done::Rendered { frame, times, counts } => {

@@ -4,6 +4,7 @@ use crate::open::{Scene, open};
 use crate::pictures::PictureWriter;
 use crate::role::Coming;
 use crate::role::audit::{self, Measured};
+use crate::role::hardware_cull::Culled;
 use crate::role::{hardware_cull, occlusion_representation, render_visible_geometry};
 use crate::runner::Event;
 use crate::telemetry::Clock;
@@ -51,10 +52,8 @@ pub(crate) enum Done {
     Opened(Opened),
     /// OR is done.
     Occluded { frame: FrameIndex, times: WorkTimes, counts: DrawCounts },
-    /// HC knows a part of V_frame.
-    CulledPart { frame: FrameIndex, part: hardware_cull::Part },
-    /// HC is done.
-    Culled { frame: FrameIndex, times: WorkTimes, counts: CullCounts },
+    /// HC is done: V_frame.
+    Culled { frame: FrameIndex, visible: Arc<VisibleSet>, times: WorkTimes, counts: CullCounts },
     /// RVG is done.
     Rendered { frame: FrameIndex, times: WorkTimes, counts: DrawCounts },
     /// The thread has ended.
@@ -168,25 +167,18 @@ fn serve(
                 stage.note_visible(frame, &occluders);
             }
             Job::Cull { frame, camera } => {
-                let mut part_said = Ok(());
-                let mut visible = Vec::new();
-                let counts = hardware_cull::run(&mut stage, &camera, |part| {
-                    visible.extend_from_slice(&part.visible);
-                    if part_said.is_ok() {
-                        part_said = say(Done::CulledPart { frame, part });
-                    }
-                })?;
-                part_said?;
+                let Culled { visible, counts } = hardware_cull::run(&mut stage, &camera)?;
+                let visible = Arc::new(VisibleSet::from_sorted(visible));
                 let times = times(stage.take_io());
-                say(Done::Culled { frame, times, counts })?;
-                stage.note_visible(frame, &Arc::new(VisibleSet::from_sorted(visible)));
+                say(Done::Culled { frame, visible: Arc::clone(&visible), times, counts })?;
+                stage.note_visible(frame, &visible);
             }
             Job::Render { frame, camera, visible } => {
                 let audited = is_nth(frame, settings.audit_every);
                 let drawn = render_visible_geometry::run(&mut stage, &camera, &visible, audited)?;
                 let times = times(stage.take_io());
                 let measuring = clock.now();
-                let counted = is_nth(frame, settings.items_every);
+                let counted = audited || is_nth(frame, settings.items_every);
                 let Measured { audit, hlods_with_pixels, stand_in_error_px } =
                     audit::measure(&mut stage, &camera, &drawn, audited, counted)?;
                 let mut counts = drawn.counts;

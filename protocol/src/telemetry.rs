@@ -30,8 +30,16 @@ pub struct CullCounts {
     pub front: u32,
     /// Of those, in the frustum.
     pub in_frustum: u32,
-    /// Boxes tested against the depth (the others in the frustum are visible without a test).
+    /// Boxes tested against the depth.
     pub queries: u32,
+    /// Meshes tested by their own triangles.
+    pub mesh_queries: u32,
+    /// Triangles drawn as further occluders, in a second look.
+    pub triangles: u64,
+    /// Visible without a test: the box holds the eye or lies within a few near distances of it.
+    pub at_eye: u32,
+    /// Visible without a test for any other reason.
+    pub untested: u32,
     /// Hlods in V_i.
     pub visible: u32,
     /// Triangles of the *source* under the hlods in the frustum.

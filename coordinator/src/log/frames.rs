@@ -57,6 +57,14 @@ pub struct FrameRow {
     pub in_frustum: u32,
     /// Boxes tested.
     pub queries: u32,
+    /// Hlods tested by their own triangles.
+    pub mesh_queries: u32,
+    /// Triangles that HC drew as further occluders.
+    pub triangles_second_look: u64,
+    /// Hlods visible without a test: the box holds the eye or lies within a few near distances of it.
+    pub at_eye: u32,
+    /// Hlods visible without a test for any other reason.
+    pub untested: u32,
     /// Hlods found visible.
     pub visible: u32,
     /// Hlods with a visible pixel.
@@ -242,6 +250,8 @@ fn fill_counts(
     row.front = cull.front;
     row.in_frustum = cull.in_frustum;
     row.queries = cull.queries;
+    (row.mesh_queries, row.triangles_second_look) = (cull.mesh_queries, cull.triangles);
+    (row.at_eye, row.untested) = (cull.at_eye, cull.untested);
     row.visible = cull.visible;
     row.with_pixels = draw.hlods_with_pixels;
     row.source_triangles_in_frustum = cull.source_triangles_in_frustum;

@@ -14,7 +14,11 @@ pub(crate) enum Geometry {
     /// To be written.
     Packed(Packed),
     /// In the file already, as part of a shared mesh.
-    Written(BlobId),
+    Written {
+        blob: BlobId,
+        /// Where the part is placed, scene units.
+        longest_edge: f64,
+    },
 }
 
 /// A part of a level that is not numbered yet.
@@ -100,7 +104,10 @@ impl Top {
                         out.put(u32::MAX);
                         packed.encode(out);
                     }
-                    Geometry::Written(blob) => out.put(blob.0),
+                    Geometry::Written { blob, longest_edge } => {
+                        out.put(blob.0);
+                        out.put(*longest_edge);
+                    }
                 }
             }
         }
@@ -134,7 +141,7 @@ impl Top {
                 let transform = from.take()?;
                 let geometry = match from.take::<u32>()? {
                     u32::MAX => Geometry::Packed(Packed::decode(from)?),
-                    blob => Geometry::Written(BlobId(blob)),
+                    blob => Geometry::Written { blob: BlobId(blob), longest_edge: from.take()? },
                 };
                 parts.push(PendingPart { geometry, transform });
             }
@@ -216,7 +223,10 @@ mod tests {
                 levels: vec![PendingLevel {
                     error: 0.1,
                     triangles: 2,
-                    parts: vec![part(Geometry::Packed(packed)), part(Geometry::Written(BlobId(7)))],
+                    parts: vec![
+                        part(Geometry::Packed(packed)),
+                        part(Geometry::Written { blob: BlobId(7), longest_edge: 2.5 }),
+                    ],
                 }],
                 bounds: mesh.bounds(),
                 source_triangles: 5,

@@ -260,9 +260,15 @@ impl Builder<'_> {
     /// Adds a level that is put together from levels of shared pieces.
     fn push_parts(&self, top: &mut Top, form: Form) {
         let Shape::Parts(parts) = &form.shape else { unreachable!("a form of parts") };
-        let pending = parts.iter().map(|&part| PendingPart {
-            geometry: Geometry::Written(self.shared_level(part).blob),
-            transform: self.plan.members[part[0] as usize].transform,
+        let pending = parts.iter().map(|&part| {
+            let member = &self.plan.members[part[0] as usize];
+            let linear = &self.scene.objects[member.object as usize].world_from_mesh.matrix3;
+            let &SharedLevel { blob, longest_edge, .. } = self.shared_level(part);
+            let longest_edge = longest_edge * largest_stretch(linear);
+            PendingPart {
+                geometry: Geometry::Written { blob, longest_edge },
+                transform: member.transform,
+            }
         });
         top.built.levels.push(PendingLevel {
             error: form.error,
@@ -475,7 +481,7 @@ impl Builder<'_> {
 fn part_triangles(part: &PendingPart) -> u32 {
     match &part.geometry {
         Geometry::Packed(packed) => packed.triangles(),
-        Geometry::Written(_) => 0,
+        Geometry::Written { .. } => 0,
     }
 }
 

@@ -124,20 +124,19 @@ impl Output {
             parts: Vec::new(),
         };
         for PendingLevel { error, triangles, parts } in built.levels {
-            row.levels.push(Level {
-                error,
-                first_part: row.parts.len() as u32,
-                part_count: parts.len() as u32,
-                triangles,
-                reserved: 0,
-            });
+            let (first_part, part_count) = (row.parts.len() as u32, parts.len() as u32);
+            let mut longest = 0.0f64;
             for part in parts {
-                let blob = match part.geometry {
-                    Geometry::Written(blob) => blob,
-                    Geometry::Packed(mesh) => self.write_mesh(&mesh)?,
+                let (blob, longest_edge) = match part.geometry {
+                    Geometry::Written { blob, longest_edge } => (blob, longest_edge),
+                    Geometry::Packed(mesh) => (self.write_mesh(&mesh)?, mesh.longest_edge()),
                 };
+                longest = longest.max(longest_edge);
                 row.parts.push(Part { blob: blob.0, transform: part.transform });
             }
+            // More than what rounding takes.
+            let longest_edge = (longest as f32).next_up();
+            row.levels.push(Level { error, first_part, part_count, triangles, longest_edge });
         }
         self.rows[built.node as usize] = Some(row);
         self.fresh.push(built.node);

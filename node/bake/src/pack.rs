@@ -52,6 +52,16 @@ impl Packed {
         })
     }
 
+    /// Length of the longest edge of its triangles, mesh units.
+    pub(crate) fn longest_edge(&self) -> f64 {
+        let positions: Vec<DVec3> = self.positions().map(DVec3::from_array).collect();
+        let corner = |index: u16| positions[usize::from(index)];
+        let triangles = self.indices.chunks_exact(3);
+        let edges = triangles.flat_map(|t| [(t[0], t[1]), (t[1], t[2]), (t[2], t[0])]);
+        let squared = edges.map(|(a, b)| corner(a).distance_squared(corner(b)));
+        squared.fold(0.0, f64::max).sqrt()
+    }
+
     pub(crate) fn triangles(&self) -> u32 {
         (self.indices.len() / 3) as u32
     }

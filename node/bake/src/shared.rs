@@ -21,6 +21,8 @@ pub(crate) struct SharedLevel {
     pub(crate) error: f64,
     pub(crate) blob: BlobId,
     pub(crate) triangles: u32,
+    /// Mesh units.
+    pub(crate) longest_edge: f64,
     /// Where its mesh lies in the working folder; no bytes for the finest, which is the piece itself.
     span: Span,
 }
@@ -77,7 +79,8 @@ impl SharedWriter {
             let bytes = piece.map(|piece| piece.encode()).unwrap_or_default();
             let span = self.file.append(&[&bytes]).map_err(|e| self.file.error(e))?;
             let blob = write(&packed)?;
-            levels.push(SharedLevel { error, blob, triangles: packed.triangles(), span });
+            let (triangles, longest_edge) = (packed.triangles(), packed.longest_edge());
+            levels.push(SharedLevel { error, blob, triangles, longest_edge, span });
         }
         self.levels.push(levels);
         Ok(())
@@ -93,6 +96,7 @@ impl SharedWriter {
             for level in levels {
                 out.put(level.error);
                 out.put([level.blob.0, level.triangles]);
+                out.put(level.longest_edge);
                 out.put(level.span);
             }
         }
@@ -151,7 +155,8 @@ fn decode(table: &[u8]) -> Result<Vec<Vec<SharedLevel>>, Torn> {
         for _ in 0..from.take_count()? {
             let error = from.take()?;
             let [blob, triangles] = from.take::<[u32; 2]>()?;
-            levels.push(SharedLevel { error, blob: BlobId(blob), triangles, span: from.take()? });
+            let (blob, longest_edge) = (BlobId(blob), from.take()?);
+            levels.push(SharedLevel { error, blob, triangles, longest_edge, span: from.take()? });
         }
         all.push(levels);
     }

@@ -14,5 +14,6 @@ mod lists;
 pub mod mesh;
 mod nearest;
 pub mod partition;
+pub mod pyramid;
 pub mod simplify;
 pub mod weld;

@@ -47,7 +47,7 @@ fn main() -> Result<(), BackendError> {
     let draws = draws(&mut random);
     let total = f64::from(MESHES * triangles);
     let part = Part::WHOLE;
-    let occluders = Pass::Occluders { view, draws: draws.clone(), part };
+    let occluders = Pass::Occluders { view, draws: draws.clone(), adds: false, part };
     let draws = Draws { solid: draws, blending: Vec::new() };
     let shade = Pass::Shade {
         view,

@@ -18,12 +18,17 @@ use protocol::id::BlobId;
 use protocol::settings::{Cull, PictureSize};
 use protocol::telemetry::BackendInfo;
 use scene::backend::{
-    Backend, BackendError, BoxQuery, Completion, Draw, NO_ITEM, Part, Pass, Shading, TextureUpload,
+    Backend, BackendError, BoxQuery, Completion, Draw, NO_ITEM, Pass, Shading, TextureUpload,
     Ticket, UNLIMITED, UnderWay, Upload, View, light, normal,
 };
-use scene::occludee::Rules;
+use scene::occludee::{Precision, Rules};
 use shaders::mirror::Frame;
 use std::collections::VecDeque;
+
+/// Mesa's software driver clips at twice the picture.
+const SOFTWARE_GUARD_BAND: f64 = 2.0;
+/// Hardware clips no farther from the middle of the picture than this, pixels.
+const HARDWARE_GUARD_PX: f64 = 32768.0;
 
 /// Draws through a graphics driver.
 ///
@@ -116,12 +121,12 @@ impl WgpuBackend {
         Ok(())
     }
 
-    /// Draws a part of a pass, and leaves the encoder open for copies.
+    /// Draws a part of a pass, and leaves the encoder open for copies. What `opens` clears what it draws into.
     fn draw(
         &mut self,
         into: Into,
         [solid, blending]: [&[Draw]; 2],
-        part: Part,
+        opens: bool,
     ) -> wgpu::CommandEncoder {
         let Self { device, targets, memory, .. } = self;
         let plan = draws::plan(solid, blending, |draw| memory.place(draw.blob));
@@ -151,21 +156,21 @@ impl WgpuBackend {
         };
         let mut calls = plan.solid(into);
         let (color, depth) = match into {
-            Into::Depth => (None, &targets.occlusion),
+            Into::Depth | Into::Count => (None, &targets.occlusion),
             Into::Picture | Into::Relit => {
-                (Some((targets.color(device), started(part.opens, sky))), targets.depth(device))
+                (Some((targets.color(device), started(opens, sky))), targets.depth(device))
             }
             Into::Normals => {
-                let cleared = started(part.opens, no_normal);
+                let cleared = started(opens, no_normal);
                 (Some((targets.normals(device), cleared)), targets.depth(device))
             }
             Into::Items => {
-                (Some((targets.items(device), started(part.opens, nothing))), targets.depth(device))
+                (Some((targets.items(device), started(opens, nothing))), targets.depth(device))
             }
         };
-        let load = if part.opens { NOTHING_IN_FRONT } else { wgpu::LoadOp::Load };
+        let load = if opens { NOTHING_IN_FRONT } else { wgpu::LoadOp::Load };
         let blending = plan.blending(into);
-        let blended_before = self.blends && !part.opens;
+        let blended_before = self.blends && !opens;
         self.blends = blended_before || !blending.is_empty();
         if matches!(into, Into::Picture | Into::Relit) {
             calls.extend(blending);
@@ -222,8 +227,12 @@ impl WgpuBackend {
 
     /// Draws, and says what is awaited if the part closes its pass.
     fn drawn(&mut self, pass: &Pass) -> Option<Submitted> {
+        let mut keeps = false;
         let (into, lists, part) = match pass {
-            Pass::Occluders { draws, part, .. } => (Into::Depth, [&draws[..], &[]], *part),
+            Pass::Occluders { draws, adds, part, .. } => {
+                keeps = *adds;
+                (Into::Depth, [&draws[..], &[]], *part)
+            }
             Pass::Shade { shading: Shading::Lit { sun }, draws, part, .. } => {
                 let into = if *sun == light::baked_sun() { Into::Picture } else { Into::Relit };
                 (into, [&draws.solid[..], &draws.blending], *part)
@@ -234,9 +243,11 @@ impl WgpuBackend {
             Pass::Items { draws, part, .. } => {
                 (Into::Items, [&draws.solid[..], &draws.blending], *part)
             }
-            Pass::QueryBoxes { .. } => unreachable!("boxes draw nothing"),
+            Pass::QueryBoxes { .. } | Pass::QueryMeshes { .. } => {
+                unreachable!("what is tested is not drawn")
+            }
         };
-        let encoder = self.draw(into, lists, part);
+        let encoder = self.draw(into, lists, part.opens && !keeps);
         if !part.closes {
             self.device.queue.submit([encoder.finish()]);
             return None;
@@ -244,7 +255,32 @@ impl WgpuBackend {
         Some(match pass {
             Pass::Shade { shading, with_depth, .. } => self.picture(encoder, *shading, *with_depth),
             Pass::Items { .. } => self.items(encoder),
-            Pass::Occluders { .. } | Pass::QueryBoxes { .. } => self.occluders(encoder),
+            _ => self.occluders(encoder),
+        })
+    }
+
+    /// Counts what passes of each item.
+    fn items_that_pass(&mut self, draws: &[Draw]) -> Vec<Submitted> {
+        let Self { device, targets, memory, .. } = self;
+        let plan = draws::plan(&[], draws, |draw| memory.place(draw.blob));
+        let instances = self.instances.write(device, bytemuck::cast_slice(&plan.instances));
+        let mut recorder = Recorder {
+            device,
+            pipelines: &self.pipelines,
+            memory,
+            meshes: &mut self.meshes,
+            textures: &mut self.textures,
+            instances: Some(instances),
+        };
+        let items = plan.by_item();
+        let pipelines: Vec<_> = items.iter().map(|calls| recorder.pipelines_of(calls)).collect();
+        let context = Context { device, pipelines: &self.pipelines, targets };
+        let prepare = |pass: &mut wgpu::RenderPass<'_>| {
+            pass.set_bind_group(0, &context.pipelines.frame_group, &[]);
+            pass.set_vertex_buffer(1, instances.slice(..));
+        };
+        queries::submit(&context, items.len(), &mut self.query_pool, prepare, |pass, item| {
+            draws::record(pass, memory, None, pipelines[item].iter().zip(&items[item]));
         })
     }
 
@@ -267,6 +303,14 @@ impl Backend for WgpuBackend {
     fn info(&self) -> BackendInfo {
         let Device { name, driver, .. } = &self.device;
         BackendInfo { name: "gpu".to_owned(), driver: format!("{name}, {driver}") }
+    }
+
+    fn precision(&self) -> Precision {
+        let PictureSize { width, height } = self.targets.size;
+        Precision::f32(match self.device.is_software {
+            true => SOFTWARE_GUARD_BAND,
+            false => HARDWARE_GUARD_PX / (f64::from(width.min(height)) * 0.5),
+        })
     }
 
     fn held_bytes(&self) -> u64 {
@@ -302,6 +346,7 @@ impl Backend for WgpuBackend {
     fn submit(&mut self, pass: Pass) -> Result<Ticket, BackendError> {
         let (Pass::Occluders { view, .. }
         | Pass::QueryBoxes { view, .. }
+        | Pass::QueryMeshes { view, .. }
         | Pass::Shade { view, .. }
         | Pass::Items { view, .. }) = &pass;
         self.under_way.take(&pass);
@@ -311,15 +356,21 @@ impl Backend for WgpuBackend {
             _ => [0.0; 3],
         };
         self.begin(view, sun)?;
+        let tests_nothing = match &pass {
+            Pass::QueryBoxes { boxes, .. } => boxes.is_empty(),
+            Pass::QueryMeshes { draws, .. } => draws.is_empty(),
+            _ => false,
+        };
         let submitted = match &pass {
-            Pass::QueryBoxes { boxes, .. } if boxes.is_empty() => Vec::new(),
+            _ if tests_nothing => Vec::new(),
+            Pass::QueryMeshes { draws, .. } => self.items_that_pass(draws),
             Pass::QueryBoxes { boxes, method, .. } => self.boxes(boxes, *method)?,
             _ => self.drawn(&pass).into_iter().collect(),
         };
         self.device.fault.check()?;
         let ticket = Ticket(self.next_ticket);
         self.next_ticket += 1;
-        if matches!(&pass, Pass::QueryBoxes { boxes, .. } if boxes.is_empty()) {
+        if tests_nothing {
             self.pending.push_back(Pending { ticket, submission: None, awaited: Awaited::NoBoxes });
         }
         for (submission, awaited) in submitted {

@@ -46,6 +46,8 @@ pub(crate) struct Device {
     pub(crate) can_mark_boxes: bool,
     /// Triangles without an area may leave fragments of undefined depth.
     pub(crate) needs_guard: bool,
+    /// It renders on the CPU.
+    pub(crate) is_software: bool,
     pub(crate) fault: Fault,
 }
 
@@ -92,6 +94,7 @@ impl Device {
             limits,
             // Mesa's driver is known to; hardware sets triangles up after it snaps their corners.
             needs_guard: info.device_type == DeviceType::Cpu,
+            is_software: info.device_type == DeviceType::Cpu,
             driver: driver(&info),
             name: info.name,
             can_mark_boxes,

@@ -87,6 +87,20 @@ impl Plan {
             .collect()
     }
 
+    /// The calls for each stretch of draws of one item, all classes, where none blends.
+    pub(crate) fn by_item(&self) -> Vec<Vec<(Key, Call<'_>)>> {
+        let item = |run: &Run| self.instances[run.instances.start as usize].item;
+        let items = self.blended.chunk_by(|a, b| item(a) == item(b));
+        let classes = || Class::ALL.into_iter();
+        items
+            .map(|runs| {
+                let calls =
+                    runs.iter().flat_map(|r| classes().filter_map(|c| r.call(Into::Count, c)));
+                calls.collect()
+            })
+            .collect()
+    }
+
     /// The calls for what blends.
     pub(crate) fn blending(&self, into: Into) -> Vec<(Key, Call<'_>)> {
         let classes = || Class::ALL.into_iter().filter(|class| class.is_blend());

@@ -21,6 +21,8 @@ use wgpu::{CompareFunction, FrontFace};
 pub(crate) enum Into {
     /// Depth alone.
     Depth,
+    /// Nothing: what passes is counted, and what has holes or blends counts as opaque.
+    Count,
     /// Colour and depth.
     Picture,
     /// The same under another sun than pictures of scan cubes show: those that have normals are lit again.
@@ -151,7 +153,7 @@ fn made(
 ) -> wgpu::RenderPipeline {
     let of_patch = |fragment| (shaders::PROJECTED, fragment);
     let (source, fragment) = match (key.into, key.kind, key.layout) {
-        (Into::Depth, _, Layout::Projected | Layout::ProjectedNormals) => {
+        (Into::Depth | Into::Count, _, Layout::Projected | Layout::ProjectedNormals) => {
             of_patch(sound.guards.then_some("fragment_guard"))
         }
         (Into::Picture, _, Layout::Projected | Layout::ProjectedNormals) => {
@@ -164,7 +166,9 @@ fn made(
             of_patch(Some("fragment_items"))
         }
         (Into::Relit, ..) => of_patch(Some("fragment_relit")),
-        (Into::Depth, ..) => (shaders::DEPTH, sound.guards.then_some("fragment_guard")),
+        (Into::Depth | Into::Count, ..) => {
+            (shaders::DEPTH, sound.guards.then_some("fragment_guard"))
+        }
         (Into::Picture, Kind::Mask, _) => (shaders::SHADE_MASK, Some("fragment_mask")),
         (Into::Picture, Kind::Opaque, Layout::Textured) => {
             (shaders::SHADE_TEXTURED, Some("fragment_main"))
@@ -181,12 +185,13 @@ fn made(
         (Into::Items, ..) => (shaders::ITEMS, Some("fragment_main")),
     };
     let target = match key.into {
-        Into::Depth => None,
+        Into::Depth | Into::Count => None,
         Into::Picture | Into::Relit => Some(COLOR_FORMAT),
         Into::Normals => Some(NORMALS_FORMAT),
         Into::Items => Some(ITEMS_FORMAT),
     };
     let blends = key.kind == Kind::Blend;
+    let writes = !blends && key.into != Into::Count;
     // The sky is opaque, and stays so under whatever is laid over it.
     let over = wgpu::BlendState {
         color: wgpu::BlendState::ALPHA_BLENDING.color,
@@ -237,7 +242,7 @@ fn made(
         buffers: &buffers,
         cull: (key.faces != Faces::Both).then_some(wgpu::Face::Back),
         front: if key.faces == Faces::Clockwise { FrontFace::Cw } else { FrontFace::Ccw },
-        depth_write: !blends,
+        depth_write: writes,
         bias_px: if key.layout.is_projected() { 0.0 } else { sound.bias_px },
         compare: CompareFunction::GreaterEqual,
     };
@@ -251,7 +256,7 @@ mod tests {
     #[test]
     fn plain_meshes_read_nothing() {
         for class in Class::ALL {
-            for into in [Into::Depth, Into::Picture, Into::Normals, Into::Items] {
+            for into in [Into::Depth, Into::Count, Into::Picture, Into::Normals, Into::Items] {
                 let reads = Key::new(into, class, Layout::Plain, false).reads();
                 let masked = into == Into::Items && class.is_mask();
                 assert_eq!(reads, if masked { Reads::Textures } else { Reads::Nothing });

@@ -1,4 +1,4 @@
-//! Boxes against the occlusion depth: hardware queries, or one draw in which boxes mark themselves.
+//! Boxes and meshes against the occlusion depth: hardware queries, or one draw in which boxes mark themselves.
 
 use crate::awaited::Awaited;
 use crate::backend::Context;
@@ -11,9 +11,11 @@ use shaders::mirror::BoxInstance;
 
 /// Queries of a set: WebGPU's limit, and the grain in which answers stream.
 const BATCH: usize = 4096;
-/// Queries of a render pass. Mesa's software driver counts too many samples in passes of far more, and
+/// Queries of a render pass on hardware, where each pass costs.
+const PASS: usize = 256;
+/// Queries of a render pass of Mesa's software driver, which counts too many samples in passes of far more, and
 /// rasterises one pass while it takes in the next: with 32 a cull took 0.68 of its time with 256.
-const PASS: u32 = 32;
+const SOFTWARE_PASS: usize = 32;
 const ANSWER_BYTES: u64 = 8;
 
 /// One query set and its way back, used again and again.
@@ -55,38 +57,59 @@ pub(crate) fn instances(boxes: &[BoxQuery]) -> Vec<BoxInstance> {
     boxes.iter().map(|b| BoxInstance { least: b.min, greatest: b.max }).collect()
 }
 
-/// Submits one occlusion query a box, a batch at a time (paper 004, section 4.2), and returns what is
-/// awaited, in order. `boxes` is not empty; `instances` holds them.
+/// Submits one occlusion query a box, a batch at a time (Manocha, section 4.2), and returns what is
+/// awaited, in order. `boxes` is not 0; `instances` holds them.
 pub(crate) fn submit_queries(
     context: &Context<'_>,
     instances: &wgpu::Buffer,
     boxes: usize,
     pool: &mut Vec<QueryBatch>,
 ) -> Vec<(wgpu::SubmissionIndex, Awaited)> {
-    let Context { device, pipelines, targets } = context;
+    let pipelines = context.pipelines;
+    let prepare = |pass: &mut wgpu::RenderPass<'_>| {
+        pass.set_pipeline(&pipelines.query);
+        pass.set_bind_group(0, &pipelines.frame_group, &[]);
+        pass.set_vertex_buffer(0, instances.slice(..));
+    };
+    submit(context, boxes, pool, prepare, |pass, of| {
+        pass.draw(0..BOX_VERTICES, of as u32..of as u32 + 1);
+    })
+}
+
+/// Submits `queries` occlusion queries, more than 0, against the occlusion depth; `prepare` begins a render pass,
+/// `draw` draws what one of them counts. Returns what is awaited, in order.
+pub(crate) fn submit(
+    context: &Context<'_>,
+    queries: usize,
+    pool: &mut Vec<QueryBatch>,
+    prepare: impl Fn(&mut wgpu::RenderPass<'_>),
+    draw: impl Fn(&mut wgpu::RenderPass<'_>, usize),
+) -> Vec<(wgpu::SubmissionIndex, Awaited)> {
+    let Context { device, targets, .. } = context;
+    let per_pass = if device.is_software { SOFTWARE_PASS } else { PASS };
     let mut submitted = Vec::new();
-    for first in (0..boxes).step_by(BATCH) {
-        let count = BATCH.min(boxes - first);
+
+    for first in (0..queries).step_by(BATCH) {
+        let count = BATCH.min(queries - first);
         let mut batch = pool.pop().unwrap_or_else(|| QueryBatch::new(device));
         let mut encoder = device.device.create_command_encoder(&Default::default());
-        for start in (0..count as u32).step_by(PASS as usize) {
+
+        for start in (0..count).step_by(per_pass) {
             let mut pass = box_pass(&mut encoder, &targets.occlusion, Some(&batch.set));
-            pass.set_pipeline(&pipelines.query);
-            pass.set_bind_group(0, &pipelines.frame_group, &[]);
-            pass.set_vertex_buffer(0, instances.slice(..));
-            for query in start..(start + PASS).min(count as u32) {
-                let instance = first as u32 + query;
-                pass.begin_occlusion_query(query);
-                pass.draw(0..BOX_VERTICES, instance..instance + 1);
+            prepare(&mut pass);
+            for query in start..(start + per_pass).min(count) {
+                pass.begin_occlusion_query(query as u32);
+                draw(&mut pass, first + query);
                 pass.end_occlusion_query();
             }
         }
+
         let bytes = count as u64 * ANSWER_BYTES;
         encoder.resolve_query_set(&batch.set, 0..count as u32, &batch.resolved, 0);
         encoder.copy_buffer_to_buffer(&batch.resolved, 0, batch.answers.buffer(), 0, bytes);
         let submission = device.queue.submit([encoder.finish()]);
         batch.answers.start();
-        let last = first + count == boxes;
+        let last = first + count == queries;
         submitted.push((submission, Awaited::Queries { first, count, last, batch }));
     }
     submitted

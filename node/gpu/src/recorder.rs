@@ -52,7 +52,7 @@ impl Recorder<'_> {
     }
 
     /// The pipeline of each call; neighbours mostly share theirs.
-    fn pipelines_of(&mut self, calls: &[(Key, Call<'_>)]) -> Vec<wgpu::RenderPipeline> {
+    pub(crate) fn pipelines_of(&mut self, calls: &[(Key, Call<'_>)]) -> Vec<wgpu::RenderPipeline> {
         let groups = Groups {
             frame: &self.pipelines.frame_group_layout,
             textures: self.textures.layout(),

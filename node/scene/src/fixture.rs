@@ -22,6 +22,20 @@ pub(crate) fn write_other(path: &Path) -> Finished {
 
 /// Writes the scene after a change of its hlods.
 pub(crate) fn write_with(path: &Path, seed: u64, change: impl FnOnce(&mut [Hlod])) -> Finished {
+    write_changed(path, seed, change, |_| ())
+}
+
+/// Writes the scene after a change of its levels.
+pub(crate) fn write_with_levels(path: &Path, change: impl FnOnce(&mut [Level])) -> Finished {
+    write_changed(path, 1, |_| (), change)
+}
+
+fn write_changed(
+    path: &Path,
+    seed: u64,
+    change_hlods: impl FnOnce(&mut [Hlod]),
+    change_levels: impl FnOnce(&mut [Level]),
+) -> Finished {
     let mut writer = SceneWriter::create(path).unwrap();
     let grid = |points: &[[u32; 3]]| -> Vec<Vertex> {
         let vertex = |&p| Vertex { position: Vertex::pack_position(p), normal: 0, color: !0 };
@@ -93,9 +107,9 @@ pub(crate) fn write_with(path: &Path, seed: u64, change: impl FnOnce(&mut [Hlod]
         first_part,
         part_count: 1,
         triangles,
-        reserved: 0,
+        longest_edge: 8.0,
     };
-    let levels = vec![level(0.5, 0, 1), level(0.0, 1, 2), level(0.0, 2, 2)];
+    let mut levels = vec![level(0.5, 0, 1), level(0.0, 1, 2), level(0.0, 2, 2)];
     let part = |blob, transform| Part { blob, transform };
     let parts = vec![part(coarse, NONE), part(fine, NONE), part(fine, 0)];
     let quarter = Transform {
@@ -111,7 +125,8 @@ pub(crate) fn write_with(path: &Path, seed: u64, change: impl FnOnce(&mut [Hlod]
         ..SceneInfo::zeroed()
     };
     let mut hlods = vec![root, leaf, instance];
-    change(&mut hlods);
+    change_hlods(&mut hlods);
+    change_levels(&mut levels);
     let transforms = vec![quarter];
     let (view_cells, cubes) = (vec![cell], vec![cube]);
     let tables = Tables { info, hlods, levels, parts, transforms, view_cells, cubes };
@@ -148,7 +163,7 @@ pub(crate) fn write_large(path: &Path, blobs: u32) {
         ..Hlod::zeroed()
     };
     let level =
-        Level { error: 0.0, first_part: 0, part_count: blobs, triangles: blobs, reserved: 0 };
+        Level { error: 0.0, first_part: 0, part_count: blobs, triangles: blobs, longest_edge: 2e5 };
     let info = SceneInfo {
         up: [0.0, 0.0, 1.0],
         source_triangles: u64::from(blobs),

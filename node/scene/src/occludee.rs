@@ -4,30 +4,53 @@
 //!
 //! At every pixel an hlod covers, its box must cover the pixel too, at a depth no farther than the one
 //! the hlod writes, as *computed*. Then at the pixel's nearest hlod the box passes its own test
-//! (GreaterEqual), and whatever is culled is hidden everywhere (paper 004, section 4.2).
+//! (GreaterEqual), and whatever is culled is hidden everywhere (Manocha, section 4.2).
+//!
+//! # The part in the picture
+//!
+//! Let `B` be the hlod's box and `P` the pyramid from the eye through the picture's border. A pixel's
+//! centre lies half a pixel within that border. So the point `q` of the geometry that a fragment stems from,
+//! which the errors below move onto the ray through a pixel's centre, lies in `P` or no farther
+//! outside than they move it: snapping moves by less than half a pixel, and for the rest all sides of `P`
+//! are moved outwards by as much ([`Pyramid`]). What is asked is the box `B'` around what `B` and this `P` have in
+//! common, grown. Where they have nothing in common no pixel shows the hlod.
+//!
+//! A point of the picture at distance `r` from the eye has a view depth of at least `r / s`, `s` being the
+//! length at depth 1 of the ray to the picture's corner. So of a box `b` outside of which the eye lies nothing
+//! that the picture shows is nearer than `distance(b) / s`, wherever its corners are: `B` may run past the eye
+//! and `B'`, which has the scene's axes, may have corners behind it.
 //!
 //! # Errors of a rasteriser, as displacements in the scene
 //!
-//! Let `w` be the view depth, `w0 <= w <= w1` over the box, `d` the distance of its farthest corner from
-//! the eye, `e` its diagonal, `near` the near distance, and `pixel` the world size of a pixel at depth 1.
-//! Depth is `z = near / w`, linear on the screen; `m` is the larger of `|dz/dx|` and `|dz/dy|` over a
-//! triangle, a pixel. `u = 2^-24` is half an ulp of 1 in f32. A point between corners moves no farther
-//! than the worst corner, so the first two are errors of corners.
+//! Let `w` be the view depth, at most `w1` over `B'`, `d` the distance of the farthest corner of `B` from the eye,
+//! `e` the diagonal of `B`, `near` the near distance, and `pixel` the world size of a pixel at depth 1. Depth is
+//! `z = near / w`, linear on the screen; `m` is the larger of `|dz/dx|` and `|dz/dy|` over a triangle, a
+//! pixel. `u = 2^-24` is half an ulp of 1 in f32. A point between corners moves no farther than the worst
+//! corner, so the first two are errors of corners.
 //!
 //! 1. *Snapping.* Corners are rounded to at least 1/256 pixel, after viewport arithmetic that errs by
-//!    at most 1/256 more at 16384 pixels: below `s` = 1/128 pixel an axis, for geometry and again for the
+//!    at most 1/256 more at 16384 pixels: below 1/128 pixel an axis, for geometry and again for the
 //!    box. Both together: 1/64 pixel, taken as 1/32. At fixed `w` that is `pixel * w1 / 32`.
 //! 2. *Transforms.* `linear * grid + offset` in f32 errs by `6 u` of its terms. The grid's origin is a
 //!    corner of the mesh's own box, which a placement can turn `4 e` away from the scene's box, so the
 //!    terms are below `r = d + 4 e`. The clip matrix adds `5 u`, the division `4 u`, clipping as
 //!    much again: `30 u r` with room, twice for the two of them: `64 u r = 2^-18 r`. f64 differences of
-//!    coordinates of size `c` add `2^-50 c` each.
-//! 3. *Depth.* Storing and interpolating `z` errs by some ulps of the greatest `z = near / w0`, and,
-//!    where a driver extrapolates from the picture's corner, by some ulps of the range of `z` times the
-//!    `n = width + height` pixels it reaches over: `k u (near / w0 + n (near / w0 - near / w1))`, with
-//!    `k = 8` for geometry and 8 for the box. Since `dw = w^2 / near dz`, that is a depth of at most
-//!    `16 u (w1^2 / w0 + n (w1 - w0) w1 / w0)`, and along a ray to the picture's corner `s` times that,
-//!    `s` being the ray's length at depth 1.
+//!    coordinates of size `c` add `2^-50 c` each. Corners that clipping makes, at the near plane or at the
+//!    border of what can be rasterised, lie on edges and so in `B`, and outside `P` but for rounding: what they
+//!    are displaced by is counted here, and no more of them is needed.
+//! 3. *Depth.* What a backend adds to `z` ([`Precision`]): a share `a` of `z` itself, a share `b` of the greatest `z`
+//!    of the triangle, and a share `c` of the range of `z` over it for each pixel that it may reach over. With `w >= w0` and
+//!    `w <= W1` over the triangle, and `n` pixels, that is at most `near (b / w0 + c n (1 / w0 - 1 / W1))`
+//!    beside `a z`. As `dw / w = w / near dz`, a point of `B'` is moved along its ray, towards the eye, by no more than
+//!    the share `a + w1 (b / w0 + c n (1 / w0 - 1 / W1))` of its distance; for geometry, and again for the box.
+//!
+//! What is the least depth `w0` of a *whole* triangle that covers a pixel? It lies in `B`. What is rasterised of it lies
+//! before the near plane, and within `k` pictures from the middle of the picture, where a driver clips it
+//! (`k` is [`Precision::guard_band`]): so with `s_k` for the ray to the corner of that, no nearer than
+//! `distance(B) / s_k`. And it has a point in `B'`, so no point of it is nearer than
+//! `distance(B') / s - l`, `l` being the longest edge of the hlod's levels, which the scene file holds. The greatest of
+//! these bounds counts. For the triangles of the box it is the first two, of the box itself. `n` is the
+//! picture's width and height together, times `k` where `B` reaches beyond `P`.
 //!
 //! # Steep triangles
 //!
@@ -36,18 +59,18 @@
 //!
 //! - A driver may decide by the snapped corners which pixels a triangle covers, and take depth from the
 //!   plane through the corners before that (Mesa's software driver does). A covered pixel lies within
-//!   `s` an axis of a point of the triangle, the one that has the same shares of the corners, and the
-//!   plane changes by at most `2 s m = m / 64` between the two. Half of the bias makes up for it: the
+//!   1/128 pixel an axis of a point of the triangle, the one that has the same shares of the corners, and the
+//!   plane changes by at most `2 m / 128 = m / 64` between the two. Half of the bias makes up for it: the
 //!   fragment is no nearer than that point, which 1. displaces.
 //! - Gradients in f32 are quotients. With `L` the longest side in pixels and `t` the height over it, the
 //!   area, as a difference of products, errs by the share `4 u L / t`, and so does the depth between
 //!   corners. What changes across the height is at most `t m`, which errs by `4 u L m`. Extrapolation
-//!   adds `4 u x m`, `x` being the largest coordinate. Drivers clip at twice the picture, so `L` and `x`
-//!   are below `2^15` pixels: `8 u 2^15 m = m / 64`, the other half.
+//!   adds `4 u x m`, `x` being the largest coordinate. Drivers clip at `2^15` pixels at most, so `L` and `x`
+//!   are below that: `8 u 2^15 m = m / 64`, the other half.
 //! - What changes along the longest side by `dz` errs by `4 u (L / t) dz`, which 3. holds down to
-//!   `t = 1/2`. **Not proven**: thinner needles that lead away from the eye, and only where their plane
-//!   is not steep across; there the bias is larger than this. Millions in a test of the GPU backend kept
-//!   to their boxes.
+//!   `t = 1/2`: its `c` is `8 u` for geometry, and `L <= n`. **Not proven**: thinner needles that lead away from
+//!   the eye, and only where their plane is not steep across; there the bias is larger than this. Millions in
+//!   a test of the GPU backend kept to their boxes. In f64 the same holds down to `t = 2^-10`.
 //! - Where the area before snapping is 0 there is no plane, and the result is no number, which Mesa's
 //!   driver takes for depth 1. The GPU backend drops such fragments, in every pass alike.
 //!
@@ -62,21 +85,25 @@
 //!
 //! # Growing pays for the rest
 //!
-//! A box grown by the sum `g` on every side holds the ball of radius `g` around each of its points. Let
-//! `q` be a point of the displaced geometry. Displacing the grown box's faces by less than `q`'s distance
-//! to them leaves `q` enclosed, so the ray from the eye, which is outside, meets a front face before
-//! `q`, still by the share of `g` that stands for the depth error. The faces turned to the eye
-//! are rasterised, which cover the box's whole outline, watertight by the fill rule; so the pixel is covered.
+//! The box that is asked is the one around `B'` and `B'` shrunk towards the eye by the share `f` of item 3., grown by the sum
+//! `g` of 1. and 2. on every side. It holds the ball of radius `g` around each point of `B'`, and such a point
+//! moved towards the eye. Let `q` be a point of the displaced geometry on the ray through a pixel's centre.
+//! Displacing the box's faces by less than `q`'s distance to them leaves `q` enclosed, so the ray from the eye, which is
+//! outside, meets a front face before `q`, still by the share that stands for the depth error. The faces
+//! turned to the eye are rasterised, which cover the box's whole outline, watertight by the fill rule; so
+//! the pixel is covered. That a face is clipped at the near plane takes nothing of it out of the picture where
+//! `distance / s` of the box exceeds the near distance.
 //!
-//! The bound is taken over the *grown* box: with `g1` from the box itself, and `g2` from the box
-//! grown by `2 g1`, the box grown by `g2` lies within that if `g2 <= 2 g1`. Else, and wherever the
-//! grown box holds the eye or may be clipped by the near plane, the hlod counts as visible: what
-//! near clipping makes of its triangles need not lie in its box.
+//! The bound is taken over the *grown* box: with `f1` and `g1` from `B'` itself, and `f2` and `g2` from the box for
+//! `2 f1` and `2 g1`, the box for `f2` and `g2` lies within that if they are at most `2 f1` and `2 g1`. Else, and
+//! wherever the grown box holds the eye or reaches as near to it as the near plane does in the picture's corner,
+//! the hlod counts as visible.
 
 use crate::backend::BoxQuery;
 use crate::front::box_from_eye;
-use crate::view::{corner_ray, pixel_at_unit_depth};
+use crate::view::{basis, pixel_at_unit_depth, ray_at_unit_depth, tan_half};
 use geometry::bounds::Aabb;
+use geometry::pyramid::Pyramid;
 use glam::DVec3;
 use protocol::camera::Camera;
 use protocol::format::Hlod;
@@ -94,10 +121,44 @@ const SNAPPING_PX: f64 = 1.0 / 32.0;
 const TRANSFORM: f64 = 1.0 / (1u64 << 18) as f64;
 /// Relative displacement by f64 differences.
 const DIFFERENCE: f64 = 1.0 / (1u64 << 50) as f64;
-/// Relative depth error, `16 u`.
-const DEPTH: f64 = 1.0 / (1u64 << 20) as f64;
 /// Relative margin of the near rule, beyond the transform error.
 const NEAR: f64 = 1.0 / (1u64 << 10) as f64;
+/// Most that a box may be shrunk towards the eye by, a share of its distance, so that something is left to ask.
+const MOST_SHRUNK: f64 = 0.5;
+/// A box this many near distances from the eye, in the picture's corner, counts as being at the eye.
+const NEAR_DISTANCES_AT_EYE: f64 = 4.0;
+
+/// What a backend's depths may err by, and what it rasterises: the terms of the derivation that are its own.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Precision {
+    /// Triangles are clipped no farther from the middle of the picture than this, in halves of its width and
+    /// of its height.
+    pub guard_band: f64,
+    /// Share of a depth that it errs by.
+    pub of_depth: f64,
+    /// Share of the greatest depth of its triangle that it errs by.
+    pub of_greatest: f64,
+    /// Share of the range of depth over its triangle that it errs by, for each pixel the triangle may reach over.
+    pub of_range_a_pixel: f64,
+}
+
+impl Precision {
+    /// Depth is interpolated in f32 and stored so: `8 u` of the greatest depth, and of the range a pixel.
+    pub const fn f32(guard_band: f64) -> Self {
+        let share = 1.0 / (1u64 << 21) as f64;
+        Self { guard_band, of_depth: 0.0, of_greatest: share, of_range_a_pixel: share }
+    }
+
+    /// Depth is interpolated in f64 and stored in f32: `2 u` of itself, and next to nothing of the range.
+    pub const fn f64(guard_band: f64) -> Self {
+        Self {
+            guard_band,
+            of_depth: 1.0 / (1u64 << 23) as f64,
+            of_greatest: 0.0,
+            of_range_a_pixel: 1.0 / (1u64 << 41) as f64,
+        }
+    }
+}
 
 /// What conservative culling rests on. Anything but the default loses pixels: it is there so that tests
 /// can show that the audit sees it.
@@ -123,57 +184,125 @@ impl Default for Rules {
 
 /// How to find out whether an hlod may be visible.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Test {
-    /// It counts as visible.
-    Visible,
+pub enum BoxTest {
+    /// It counts as visible: its box holds the eye, or lies within [`NEAR_DISTANCES_AT_EYE`] of it.
+    AtEye,
+    /// It counts as visible: rounding spoils its box.
+    Unproven,
     /// It is visible if this box is.
     Query(BoxQuery),
+    /// No pixel shows any of it.
+    Outside,
 }
 
-/// The test for `hlod`, which lies in the frustum of `camera`, in a picture of `size`.
-pub fn test_for(hlod: &Hlod, camera: &Camera, size: PictureSize, rules: &Rules) -> Test {
-    let bounds = box_from_eye(hlod, camera.eye);
-    let view = Rounding::new(hlod, camera, size);
-    let margin = if rules.grow { view.growth(&bounds) } else { Some(0.0) };
-    let Some(grown) = margin.map(|margin| bounds.grown(margin)) else {
-        return Test::Visible;
-    };
-    if rules.near_rule && !view.clears_near_plane(&grown) {
-        return Test::Visible;
-    }
-    let query = BoxQuery {
-        min: grown.min.to_array().map(|c| c as f32),
-        max: grown.max.to_array().map(|c| c as f32),
-    };
-    if query.min.iter().chain(&query.max).all(|c| c.is_finite()) {
-        Test::Query(query)
-    } else {
-        Test::Visible
-    }
-}
-
-/// The quantities of the derivation that belong to a camera and an hlod.
-struct Rounding {
+/// The boxes of one camera.
+pub struct BoxTests {
+    eye: [f64; 3],
     forward: DVec3,
     near: f64,
     pixel: f64,
+    basis: geometry::frustum::Basis,
+    tan_half: [f64; 2],
+    /// Length at depth 1 of the ray to the picture's corner.
     corner_ray: f64,
-    /// `n`, pixels.
-    reach_px: f64,
-    /// Displacement by f64 differences, scene units.
-    difference: f64,
+    /// The same to the corner of all that is rasterised.
+    guard_ray: f64,
+    /// Width and height of the picture together, pixels.
+    picture_px: f64,
+    precision: Precision,
+    rules: Rules,
 }
 
-impl Rounding {
-    fn new(hlod: &Hlod, camera: &Camera, size: PictureSize) -> Self {
-        let coordinates = camera.eye.iter().chain(&hlod.min).chain(&hlod.max);
+/// Where geometry of an hlod may be displaced to.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Displacement {
+    /// In any direction, scene units.
+    anyhow: f64,
+    /// Towards the eye, a share of the distance.
+    towards_eye: f64,
+}
+
+impl Displacement {
+    const NONE: Self = Self { anyhow: 0.0, towards_eye: 0.0 };
+
+    fn doubled(self) -> Self {
+        Self { anyhow: 2.0 * self.anyhow, towards_eye: 2.0 * self.towards_eye }
+    }
+
+    fn is_within(self, other: Self) -> bool {
+        self.anyhow <= other.anyhow && self.towards_eye <= other.towards_eye
+    }
+
+    /// The box around all that points of `b` can be displaced to; the eye is the origin.
+    fn of(self, b: &Aabb) -> Aabb {
+        let left = 1.0 - self.towards_eye;
+        b.union(Aabb { min: b.min * left, max: b.max * left }).grown(self.anyhow)
+    }
+}
+
+impl BoxTests {
+    /// The tests of a frame: pictures of `size` by `camera` on a backend of this precision.
+    pub fn new(camera: &Camera, size: PictureSize, precision: Precision, rules: Rules) -> Self {
+        let [tx, ty] = tan_half(camera, size);
+        let guard = precision.guard_band.max(1.0);
         Self {
+            eye: camera.eye,
             forward: DVec3::from_array(camera.forward.map(f64::from)),
             near: f64::from(camera.near),
             pixel: pixel_at_unit_depth(camera, size),
-            corner_ray: corner_ray(camera, size),
-            reach_px: f64::from(size.width) + f64::from(size.height),
-            difference: DIFFERENCE * coordinates.map(|c| c.abs()).sum::<f64>(),
+            basis: basis(camera),
+            tan_half: [tx, ty],
+            corner_ray: ray_at_unit_depth([tx, ty]),
+            guard_ray: ray_at_unit_depth([guard * tx, guard * ty]),
+            picture_px: f64::from(size.width) + f64::from(size.height),
+            precision,
+            rules,
+        }
+    }
+
+    /// The test for `hlod`, no level of which has an edge longer than `longest_edge`, scene units.
+    pub fn test(&self, hlod: &Hlod, longest_edge: f64) -> BoxTest {
+        let whole = box_from_eye(hlod, self.eye);
+        if farthest(&whole).is_nan() || farthest(&whole) > f64::from(f32::MAX) {
+            return BoxTest::Unproven;
+        }
+        let transform = self.transform(hlod, &whole);
+
+        let pyramid = Pyramid::new(self.basis, self.tan_half, transform);
+        let part = match pyramid.bounds_within(&whole) {
+            Some(part) if part.is_empty() => return BoxTest::Outside,
+            Some(part) => part,
+            None if self.rules.near_rule => return self.untested(&whole),
+            None => whole,
+        };
+
+        let displaced = match self.rules.grow {
+            true => self.displacement(&whole, &part, transform, longest_edge),
+            false => Some(Displacement::NONE),
+        };
+        let Some(grown) = displaced.map(|displaced| displaced.of(&part)) else {
+            return self.untested(&whole);
+        };
+        if self.rules.near_rule && !self.clears_near_plane(&grown) {
+            return self.untested(&whole);
+        }
+
+        let query = BoxQuery {
+            min: grown.min.to_array().map(|c| c as f32),
+            max: grown.max.to_array().map(|c| c as f32),
+        };
+        if query.min.iter().chain(&query.max).all(|c| c.is_finite()) {
+            BoxTest::Query(query)
+        } else {
+            BoxTest::Unproven
+        }
+    }
+
+    fn untested(&self, whole: &Aabb) -> BoxTest {
+        let at_eye = NEAR_DISTANCES_AT_EYE * self.near * self.corner_ray;
+        match whole.distance(DVec3::ZERO) <= at_eye {
+            true => BoxTest::AtEye,
+            false => BoxTest::Unproven,
         }
     }
 
@@ -183,33 +312,71 @@ impl Rounding {
         (at_min.min(at_max).element_sum(), at_min.max(at_max).element_sum())
     }
 
-    /// Distance of the farthest corner.
-    fn farthest(b: &Aabb) -> f64 {
-        b.min.abs().max(b.max.abs()).length()
+    /// Item 2: displacement of all corners of triangles in a box, scene units.
+    fn transform(&self, hlod: &Hlod, whole: &Aabb) -> f64 {
+        let coordinates = self.eye.iter().chain(&hlod.min).chain(&hlod.max);
+        let difference = DIFFERENCE * coordinates.map(|c| c.abs()).sum::<f64>();
+        TRANSFORM * (farthest(whole) + 4.0 * whole.diagonal()) + difference
     }
 
-    /// The sum of the three errors for geometry within `b`.
-    fn displacement(&self, b: &Aabb) -> f64 {
-        let (w0, w1) = self.depths(b);
-        // Nothing is rasterised nearer than the near plane.
-        let (w0, w1) = (w0.max(self.near), w1.max(self.near));
-        let snapping = SNAPPING_PX * self.pixel * w1;
-        let transform = TRANSFORM * (Self::farthest(b) + 4.0 * b.diagonal()) + self.difference;
-        let depth = DEPTH * w1 * (w1 + self.reach_px * (w1 - w0)) / w0;
-        snapping + transform + depth * self.corner_ray
+    /// What geometry in `part` of the box `whole` is displaced by against a box around it; none where growing by
+    /// it spoils the bound. `transform` is item 2.
+    fn displacement(
+        &self,
+        whole: &Aabb,
+        part: &Aabb,
+        transform: f64,
+        longest_edge: f64,
+    ) -> Option<Displacement> {
+        let reach_px =
+            self.picture_px * if part == whole { 1.0 } else { self.precision.guard_band };
+        let of_geometry = self.depth_error(
+            self.least_depth(whole)
+                .max(part.distance(DVec3::ZERO) / self.corner_ray - longest_edge),
+            self.depths(whole).1,
+            reach_px,
+        );
+
+        let of = |asked: &Aabb| {
+            let (_, w1) = self.depths(asked);
+            let of_box = self.depth_error(self.least_depth(asked), w1, reach_px);
+            Displacement {
+                anyhow: SNAPPING_PX * self.pixel * w1 + transform,
+                towards_eye: 2.0 * self.precision.of_depth + w1 * (of_geometry + of_box),
+            }
+        };
+
+        let first = of(part).doubled();
+        if first.towards_eye > MOST_SHRUNK {
+            return None;
+        }
+        let second = of(&first.of(part));
+        second.is_within(first).then_some(second)
     }
 
-    /// How far `b` is to be grown; none where its own growth spoils the bound.
-    fn growth(&self, b: &Aabb) -> Option<f64> {
-        let first = self.displacement(b);
-        let second = self.displacement(&b.grown(2.0 * first));
-        (second <= 2.0 * first).then_some(second)
+    /// Least depth of what is rasterised of triangles in `b`.
+    fn least_depth(&self, b: &Aabb) -> f64 {
+        let by_guard_band = b.distance(DVec3::ZERO) / self.guard_ray;
+        self.depths(b).0.max(by_guard_band).max(self.near)
     }
 
-    /// No rounding brings a vertex of `b` in front of the near plane.
+    /// Item 3: what triangles from depth `w0` to `w1` that reach over `reach_px` pixels add to a depth at most,
+    /// in units of the near distance.
+    fn depth_error(&self, w0: f64, w1: f64, reach_px: f64) -> f64 {
+        let range = (1.0 / w0 - 1.0 / w1).max(0.0);
+        self.precision.of_greatest / w0 + self.precision.of_range_a_pixel * reach_px * range
+    }
+
+    /// The eye is outside, and no rounding brings a point of `b` that the picture shows before the near plane.
     fn clears_near_plane(&self, b: &Aabb) -> bool {
-        self.depths(b).0 > self.near * (1.0 + NEAR) + TRANSFORM * Self::farthest(b)
+        let least_shown = b.distance(DVec3::ZERO) / self.corner_ray;
+        least_shown > self.near * (1.0 + NEAR) + TRANSFORM * farthest(b)
     }
+}
+
+/// Distance of the farthest corner from the eye.
+fn farthest(b: &Aabb) -> f64 {
+    b.min.abs().max(b.max.abs()).length()
 }
 
 #[cfg(test)]

@@ -160,7 +160,7 @@ impl RandomScene {
                 first_part: self.skeleton.parts.len() as u32,
                 part_count: parts.len() as u32,
                 triangles: parts.iter().map(triangles).sum(),
-                reserved: 0,
+                longest_edge: (bounds.diagonal() as f32).next_up(),
             });
             self.skeleton.parts.extend(parts);
         }

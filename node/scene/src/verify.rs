@@ -4,6 +4,7 @@
 //! [`protocol::format::check()`]; this reads all the rest.
 
 use crate::store::{Content, Store, StoreError};
+use glam::DVec3;
 use protocol::format::check::check_disjoint;
 use protocol::format::mesh::vertices_of;
 use protocol::format::{Blob, Hlod, Transform, Vertex, Violation, check};
@@ -66,6 +67,22 @@ pub enum VerifyError {
         path: PathBuf,
         /// The rule.
         source: Violation,
+    },
+    /// A triangle has a longer edge than its level says, so culling could lose it.
+    #[error(
+        "{}: an edge of part {part} of level {level} of hlod {hlod} is longer than the level says; \
+         bake the scene again",
+        path.display()
+    )]
+    LongEdge {
+        /// The file.
+        path: PathBuf,
+        /// The hlod.
+        hlod: HlodId,
+        /// Which of the hlod's levels, 0 the finest.
+        level: u32,
+        /// Which of the level's parts.
+        part: u32,
     },
     /// Geometry leaves its box, so culling could lose it.
     #[error(
@@ -174,10 +191,33 @@ fn check_box(store: &Store, id: HlodId, hlod: &Hlod) -> Result<u64, VerifyError>
                     vertex: vertex as u32,
                 });
             }
+            if longest_edge(mesh, &bytes, &transform) > f64::from(level.longest_edge) {
+                return Err(VerifyError::LongEdge {
+                    path: store.path().to_path_buf(),
+                    hlod: id,
+                    level: level_index as u32,
+                    part: part_index as u32,
+                });
+            }
             count += u64::from(mesh.vertices);
         }
     }
     Ok(count)
+}
+
+/// Length of the longest edge of a mesh that is placed.
+fn longest_edge(blob: &Blob, bytes: &[u8], transform: &Transform) -> f64 {
+    let place = |vertex| DVec3::from_array(transform.apply(position(blob, &vertex)));
+    let places: Vec<DVec3> = vertices_of(blob, bytes).map(place).collect();
+    let triangles = bytes[blob.vertex_bytes()..].chunks_exact(6).take(blob.triangles as usize);
+
+    let longest_of = |triangle: &[u8]| {
+        let corner =
+            |k: usize| usize::from(u16::from_le_bytes([triangle[2 * k], triangle[2 * k + 1]]));
+        let [a, b, c] = [0, 1, 2].map(|k| places[corner(k)]);
+        a.distance_squared(b).max(b.distance_squared(c)).max(c.distance_squared(a))
+    };
+    triangles.map(longest_of).fold(0.0, f64::max).sqrt()
 }
 
 /// Mesh-space position of a vertex.
@@ -302,6 +342,19 @@ mod tests {
         assert_eq!(outside(|h| h[1].max[2] = 0.5), (1, 0, 3));
         // The least reported is the first in the table.
         assert_eq!(outside(|h| (h[1].max[2], h[2].max[1]) = (0.5, 0.5)), (1, 0, 3));
+    }
+
+    #[test]
+    fn an_edge_longer_than_its_level_says_is_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("scene.occ");
+        fixture::write_with_levels(&path, |levels| levels[2].longest_edge = 1.4);
+        let error = verify(&Store::open(&path).unwrap()).unwrap_err();
+        // The diagonal of the turned unit square is longer.
+        assert!(
+            matches!(error, VerifyError::LongEdge { hlod: HlodId(2), level: 0, part: 0, .. }),
+            "{error}"
+        );
     }
 
     #[test]

@@ -7,7 +7,7 @@ use protocol::camera::Camera;
 use protocol::settings::PictureSize;
 
 /// Tangents of half the horizontal and vertical angle. Pixels are square.
-fn tan_half(camera: &Camera, size: PictureSize) -> [f64; 2] {
+pub(crate) fn tan_half(camera: &Camera, size: PictureSize) -> [f64; 2] {
     let y = f64::from(camera.tan_half_fov_y);
     [y * f64::from(size.width) / f64::from(size.height), y]
 }
@@ -19,11 +19,15 @@ pub fn pixel_at_unit_depth(camera: &Camera, size: PictureSize) -> f64 {
 
 /// Length of the longest view ray, to a corner of the picture, at view depth 1.
 pub fn corner_ray(camera: &Camera, size: PictureSize) -> f64 {
-    let [x, y] = tan_half(camera, size);
+    ray_at_unit_depth(tan_half(camera, size))
+}
+
+/// Length at view depth 1 of the ray with these tangents to the axis.
+pub(crate) fn ray_at_unit_depth([x, y]: [f64; 2]) -> f64 {
     (1.0 + x * x + y * y).sqrt()
 }
 
-fn basis(camera: &Camera) -> Basis {
+pub(crate) fn basis(camera: &Camera) -> Basis {
     let wide = |v: [f32; 3]| DVec3::from_array(v.map(f64::from));
     Basis {
         right: DVec3::from_array(camera.right()),

@@ -71,6 +71,8 @@ pub(crate) struct Stage<'a> {
     rules: Rules,
     /// The last front made. A seat culls a frame right after it made the frame's depth, so one is enough.
     front: Option<(Camera, Arc<Front>)>,
+    /// Whose depth there is, of the last front made, sorted.
+    occluders: Vec<HlodId>,
 }
 
 impl<'a> Stage<'a> {
@@ -82,7 +84,16 @@ impl<'a> Stage<'a> {
         far: Distance,
         settings: &'a RunSettings,
     ) -> Self {
-        Self { skeleton, backend, loader, far, settings, rules: Rules::default(), front: None }
+        Self {
+            skeleton,
+            backend,
+            loader,
+            far,
+            settings,
+            rules: Rules::default(),
+            front: None,
+            occluders: Vec::new(),
+        }
     }
 
     /// The renderer.

@@ -41,7 +41,12 @@ pub(crate) fn run(
         let offered = |entry: &&FrontEntry| stage.loader.offers_level(entry.level, promise);
         let entries: Vec<FrontEntry> = wanted.iter().filter(offered).copied().collect();
         let draws = draw_list(&stage.skeleton, &entries, camera.eye);
-        let pass = |view, draws: Draws, part| Pass::Occluders { view, draws: draws.solid, part };
+        let pass = |view, draws: Draws, part| Pass::Occluders {
+            view,
+            draws: draws.solid,
+            adds: false,
+            part,
+        };
         let Some(completion) =
             stage.draw_list(camera, &Draws { blending: vec![], ..draws }, pass)?
         else {
@@ -49,6 +54,7 @@ pub(crate) fn run(
         };
         assert!(matches!(completion, Completion::Occluders { .. }), "occluders answer as such");
         let replaced = (wanted.len() - entries.len()) as u32;
+        stage.occluders = entries.iter().map(|entry| entry.hlod).collect();
         return Ok(DrawCounts {
             hlods: entries.len() as u32,
             triangles: stage.triangles(&entries),

@@ -75,19 +75,12 @@ fn play_on(mut stage: Stage<'_>, cameras: &[Camera]) -> Vec<Seen> {
     let mut visible = VisibleSet::whole_scene();
     let frame = |camera: &Camera| {
         occlusion_representation::run(&mut stage, camera, &visible).unwrap();
-        let mut ids = Vec::new();
-        let mut through = None;
-        let culled = hardware_cull::run(&mut stage, camera, |part| {
-            assert!(through < Some(part.through), "parts come in id order");
-            assert!(part.visible.iter().all(|&id| Some(id) > through && id <= part.through));
-            through = Some(part.through);
-            ids.extend(part.visible);
-        });
-        visible = VisibleSet::from_sorted(ids);
+        let culled = hardware_cull::run(&mut stage, camera).unwrap();
+        visible = VisibleSet::from_sorted(culled.visible);
         let drawn = render_visible_geometry::run(&mut stage, camera, &visible, true).unwrap();
         let measured = measure(&mut stage, camera, &drawn, true, true).unwrap();
         Seen {
-            culled: culled.unwrap(),
+            culled: culled.counts,
             drawn: drawn.counts.hlods,
             with_pixels: measured.hlods_with_pixels.unwrap(),
             differing: measured.audit.unwrap().differing_pixels,

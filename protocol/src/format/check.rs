@@ -239,7 +239,8 @@ fn check_levels(skeleton: &Skeleton) -> Result<(), Violation> {
         let triangles = |part: &Part| u64::from(skeleton.blobs[part.blob as usize].triangles);
         let (said, found) = (level.triangles, skeleton.parts_of(level).iter().map(triangles).sum());
         hold(place, u64::from(said) == found, Rule::Triangles { said, found })?;
-        hold(place, level.reserved == 0, Rule::Reserved)?;
+        let edge = level.longest_edge;
+        hold(place, edge.is_finite() && edge >= 0.0, Rule::LongestEdge { edge })?;
         let error = level.error;
         hold(place, error.is_finite() && error >= 0.0, Rule::Error { error })?;
     }

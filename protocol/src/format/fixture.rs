@@ -48,7 +48,7 @@ pub(super) fn levels() -> Vec<Level> {
         first_part,
         part_count,
         triangles,
-        reserved: 0,
+        longest_edge: 1e3,
     };
     vec![level(0.5, 0, 1, 1), level(0.0, 1, 2, 2), level(0.0, 3, 1, 2), level(0.25, 4, 1, 1)]
 }

@@ -10,7 +10,7 @@ use bytemuck::{Pod, Zeroable};
 const _: () = assert!(cfg!(target_endian = "little"), "scene files are little-endian");
 
 /// Version of the layout; a file of another version is refused.
-pub const FORMAT_VERSION: u32 = 5;
+pub const FORMAT_VERSION: u32 = 6;
 /// Every section and every blob starts at a multiple of this many bytes.
 pub const ALIGNMENT: u64 = 64;
 

@@ -49,8 +49,8 @@ pub struct Level {
     pub part_count: u32,
     /// Triangles of all parts.
     pub triangles: u32,
-    /// Zero.
-    pub reserved: u32,
+    /// No edge of its triangles is longer, scene units.
+    pub longest_edge: f32,
 }
 
 /// A placed mesh of one level: 8 bytes. A leaf may hold several objects, each a part or more.
@@ -245,6 +245,12 @@ impl Skeleton {
     /// Levels of `hlod`, finest first.
     pub fn levels_of(&self, hlod: &Hlod) -> &[Level] {
         &self.levels[hlod.first_level as usize..][..hlod.level_count as usize]
+    }
+
+    /// No triangle of any level of `hlod` has a longer edge, scene units.
+    pub fn longest_edge(&self, hlod: &Hlod) -> f64 {
+        let edges = self.levels_of(hlod).iter().map(|level| f64::from(level.longest_edge));
+        edges.fold(0.0, f64::max)
     }
 
     /// Children of `hlod`.

@@ -50,8 +50,13 @@ fn scene(boxes: &[[[f64; 3]; 2]], up: [f64; 3], shift: f64) -> (Skeleton, Vec<Ve
             level_count: 1,
             ..hlod(moved(*min), moved(*max))
         });
-        let level =
-            Level { error: 0.0, first_part: i as u32, part_count: 1, triangles: 12, reserved: 0 };
+        let level = Level {
+            error: 0.0,
+            first_part: i as u32,
+            part_count: 1,
+            triangles: 12,
+            longest_edge: 1e3,
+        };
         skeleton.levels.push(level);
         skeleton.parts.push(Part { blob: i as u32, transform: NONE });
         let mut data = Vec::new();

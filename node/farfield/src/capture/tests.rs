@@ -91,7 +91,7 @@ fn write(path: &Path) {
             first_part: n,
             part_count: 1,
             triangles: 12,
-            reserved: 0,
+            longest_edge: 1e3,
         });
     }
     (tables.info.source_triangles, tables.info.unique_triangles) = (u64::from(12 * CUBES), 24);

@@ -114,7 +114,7 @@ fn answers_stream_in_order_and_depth_stays_as_it_is() {
     let query = Pass::QueryBoxes { view, boxes, method: Cull::Queries };
     // Two tests around a picture, all submitted before the first poll.
     let part = Part::WHOLE;
-    let pass = Pass::Occluders { view, draws: walls.clone(), part };
+    let pass = Pass::Occluders { view, draws: walls.clone(), adds: false, part };
     let occluders = backend.submit(pass).unwrap();
     let first = backend.submit(query.clone()).unwrap();
     let shade = Pass::Shade {

@@ -153,7 +153,7 @@ fn seen(
             part,
         },
         |view, draws, part| Pass::Items { view, draws, part },
-        |view, draws, part| Pass::Occluders { view, draws: draws.solid, part },
+        |view, draws, part| Pass::Occluders { view, draws: draws.solid, adds: false, part },
     ];
     for pass in kinds {
         for (at, draws) in parts.iter().enumerate() {

@@ -11,7 +11,7 @@ use protocol::settings::{Cull, PictureSize};
 use rand::rngs::StdRng;
 use rand::{Rng, SeedableRng};
 use scene::backend::{Backend, Draw, NO_ITEM, Upload, View};
-use scene::occludee::{Rules, Test, test_for};
+use scene::occludee::{BoxTest, BoxTests, Rules};
 
 const SIZE: PictureSize = PictureSize { width: 96, height: 64 };
 /// Hlods of a picture; the wall has the number behind the last.
@@ -112,7 +112,8 @@ fn slivers(kind: Kind, rules: &Rules, pictures: u64) -> Option<Outcome> {
         let (draws, boxes): (Vec<_>, Vec<_>) = (0..HLODS)
             .map(|id| {
                 let (draw, bounds) = hlod(&mut backend, id, kind, &mut random);
-                let Test::Query(query) = test_for(&bounds, &camera, SIZE, rules) else {
+                let tests = BoxTests::new(&camera, SIZE, backend.precision(), *rules);
+                let BoxTest::Query(query) = tests.test(&bounds, 32.0) else {
                     panic!("a box well ahead");
                 };
                 (draw, query)

@@ -171,7 +171,7 @@ pub(crate) fn lists(draws: &[Draw]) -> Draws {
 }
 
 pub(crate) fn occluders(backend: &mut impl Backend, view: View, draws: &[Draw]) {
-    run(backend, Pass::Occluders { view, draws: draws.to_vec(), part: Part::WHOLE });
+    run(backend, Pass::Occluders { view, draws: draws.to_vec(), adds: false, part: Part::WHOLE });
 }
 
 pub(crate) fn visible(

@@ -17,6 +17,7 @@ mod part;
 
 pub use part::{Part, UnderWay};
 
+use crate::occludee::Precision;
 use crate::store::{Store, StoreError};
 use protocol::format::{Blob, Texture, Wrap, texture};
 use protocol::id::{BlobId, HlodId};
@@ -94,7 +95,8 @@ pub fn stored_mips<'a>(
     Ok((side, wrap, &bytes[left_out..]))
 }
 
-/// An eye-relative box, already grown; it neither holds the eye nor crosses the near plane.
+/// An eye-relative box, already grown. It does not hold the eye, and nothing of it that the picture shows
+/// lies before the near plane.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct BoxQuery {
     /// Least corner.
@@ -129,12 +131,14 @@ impl Default for Shading {
 /// alone, in every pass. A pass that draws may come in consecutive [parts](Part).
 #[derive(Debug, Clone, PartialEq)]
 pub enum Pass {
-    /// Clear the occlusion depth and render what is opaque of these into it. It stays with the backend.
+    /// Render what is opaque of these into the occlusion depth. It stays with the backend.
     Occluders {
         /// The camera.
         view: View,
         /// Occluders, as [`Draws::solid`].
         draws: Vec<Draw>,
+        /// They are drawn to what is there of the same view, which is not cleared.
+        adds: bool,
         /// Which part of the pass this is.
         part: Part,
     },
@@ -146,6 +150,14 @@ pub enum Pass {
         boxes: Vec<BoxQuery>,
         /// `Queries` or `Boxes`; a backend without such a choice uses the one way it has.
         method: Cull,
+    },
+    /// Test meshes against the occlusion depth, which stays as it is. All classes count as opaque. It is answered
+    /// as boxes are, with one answer for each stretch of draws of one item.
+    QueryMeshes {
+        /// The camera: the same as the occluders'.
+        view: View,
+        /// The meshes; those of an item follow each other.
+        draws: Vec<Draw>,
     },
     /// Draw a picture with its own colour and depth and read it back. What blends leaves no depth.
     Shade {
@@ -195,13 +207,14 @@ pub enum Completion {
         /// The pass.
         ticket: Ticket,
     },
-    /// Answers for `boxes[first..first + visible.len()]`; parts come in order, `last` ends them.
+    /// Answers for `boxes[first..first + visible.len()]`, or for as many items; parts come in order, `last`
+    /// ends them.
     Boxes {
         /// The pass.
         ticket: Ticket,
-        /// Index of the first box answered here.
+        /// Index of the first box or item answered here.
         first: usize,
-        /// Whether a pixel of the box would pass.
+        /// Whether a pixel of it would pass.
         visible: Vec<bool>,
         /// No more parts.
         last: bool,
@@ -262,6 +275,9 @@ pub enum BackendError {
 pub trait Backend {
     /// What this is, for the log.
     fn info(&self) -> BackendInfo;
+
+    /// What its depths may err by.
+    fn precision(&self) -> Precision;
 
     /// All memory taken for meshes and textures, bytes: also what is kept for those to come, so it need
     /// not fall when a blob is evicted.

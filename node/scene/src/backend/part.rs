@@ -40,8 +40,10 @@ impl UnderWay {
     /// panics.
     pub fn take(&mut self, pass: &Pass) {
         let (view, solid, blends, part) = match pass {
-            Pass::Occluders { view, draws, part } => (view, !draws.is_empty(), false, *part),
-            Pass::QueryBoxes { view, .. } => (view, false, false, Part::WHOLE),
+            Pass::Occluders { view, draws, part, .. } => (view, !draws.is_empty(), false, *part),
+            Pass::QueryBoxes { view, .. } | Pass::QueryMeshes { view, .. } => {
+                (view, false, false, Part::WHOLE)
+            }
             Pass::Shade { view, draws, part, .. } | Pass::Items { view, draws, part } => {
                 (view, !draws.solid.is_empty(), !draws.blending.is_empty(), *part)
             }

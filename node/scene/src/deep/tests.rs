@@ -101,7 +101,7 @@ impl Scene {
             first_part,
             part_count,
             triangles,
-            reserved: 0,
+            longest_edge: 1e3,
         };
         let levels = vec![
             level(root_error, 0, 2, 2 * counts[2]),

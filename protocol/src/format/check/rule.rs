@@ -54,6 +54,12 @@ pub enum Rule {
     /// Spare fields are zero.
     #[error("a reserved field is not zero")]
     Reserved,
+    /// A length.
+    #[error("its longest edge of {edge} is no length")]
+    LongestEdge {
+        /// What the level says.
+        edge: f32,
+    },
     /// No NaN, no infinity.
     #[error("a number is not finite")]
     NotFinite,

@@ -87,7 +87,8 @@ fn counts_and_indices_of_hlods() {
 fn levels_name_what_exists() {
     let level = |change: fn(&mut Level)| broken(|s| change(&mut s.levels[3])).rule;
     assert_eq!(level(|l| l.triangles = 2), Rule::Triangles { said: 2, found: 1 });
-    assert_eq!(level(|l| l.reserved = 1), Rule::Reserved);
+    assert_eq!(level(|l| l.longest_edge = -1.0), Rule::LongestEdge { edge: -1.0 });
+    assert!(matches!(level(|l| l.longest_edge = f32::NAN), Rule::LongestEdge { .. }));
     assert_eq!(level(|l| l.error = -0.1), Rule::Error { error: -0.1 });
     assert!(matches!(level(|l| l.error = f64::NAN), Rule::Error { .. }));
 }

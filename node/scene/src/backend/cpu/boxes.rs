@@ -81,7 +81,7 @@ mod tests {
     use crate::backend::{Backend, Completion, Part, Pass, Shading, View};
     use crate::draw_list::draw_list;
     use crate::front::front;
-    use crate::occludee::{Rules, Test, test_for};
+    use crate::occludee::{BoxTest, BoxTests, Rules};
     use crate::random_scene::RandomScene;
     use protocol::settings::PictureSize;
 
@@ -116,7 +116,9 @@ mod tests {
         let (mut written, mut uncovered) = (0, 0);
         for entry in front(&scene.skeleton, &camera, size, 1.0).entries {
             let hlod = scene.skeleton.hlod(entry.hlod);
-            let Test::Query(query) = test_for(hlod, &camera, size, rules) else { continue };
+            let tests = BoxTests::new(&camera, size, backend.precision(), *rules);
+            let test = tests.test(hlod, scene.skeleton.longest_edge(hlod));
+            let BoxTest::Query(query) = test else { continue };
             let draws = draw_list(&scene.skeleton, &[entry], camera.eye);
             let pass = Pass::Shade {
                 view,

@@ -29,7 +29,9 @@ impl Canvas {
     pub(super) fn new(pass: &Pass, size: PictureSize, inclusive: bool) -> Self {
         let pixels = pixel_count(size);
         let layer = match pass {
-            Pass::Occluders { .. } | Pass::QueryBoxes { .. } => Layer::Bare,
+            Pass::Occluders { .. } | Pass::QueryBoxes { .. } | Pass::QueryMeshes { .. } => {
+                Layer::Bare
+            }
             Pass::Shade { shading: Shading::Lit { sun }, .. } => {
                 Layer::Colors { colors: vec![light::SKY; pixels], sunlight: Sunlight::new(*sun) }
             }
@@ -41,6 +43,11 @@ impl Canvas {
             }
         };
         Self { depth: Depth::new(size, inclusive), layer }
+    }
+
+    /// One that goes on with a depth.
+    pub(super) fn onto(depth: Depth) -> Self {
+        Self { depth, layer: Layer::Bare }
     }
 
     /// Draws what is solid of one list and then what blends of another; of what is solid, a bare one

@@ -19,7 +19,7 @@ use super::{
     Backend, BackendError, BoxQuery, Completion, Draw, Part, Pass, Picture, TextureUpload, Ticket,
     UNLIMITED, UnderWay, Upload, View,
 };
-use crate::occludee::Rules;
+use crate::occludee::{Precision, Rules};
 use canvas::{Canvas, Layer};
 use mesh::Mesh;
 use paint::Painter;
@@ -96,7 +96,13 @@ impl CpuBackend {
         [solid, blending]: [&[Draw]; 2],
         part: Part,
     ) -> Option<Canvas> {
-        let left = self.canvas.take();
+        let left = self.canvas.take().or_else(|| match pass {
+            Pass::Occluders { adds: true, .. } => {
+                let (depth, _) = self.occlusion.take().expect("occluders are added to others");
+                Some(Canvas::onto(depth))
+            }
+            _ => None,
+        });
         let mut canvas = left.unwrap_or_else(|| Canvas::new(pass, self.size, self.inclusive));
         let projection = self.projection(view);
         let painter = |draws| Painter::new(&projection, draws, &self.meshes, &self.textures);
@@ -138,11 +144,25 @@ impl CpuBackend {
         }
     }
 
-    fn query(&self, view: &View, boxes: &[BoxQuery]) -> Vec<bool> {
+    fn occlusion(&self) -> &(Depth, TileMinima) {
+        self.occlusion.as_ref().expect("something is tested before any occluders")
+    }
+
+    fn query_meshes(&self, view: &View, draws: &[Draw]) -> Vec<bool> {
         let projection = self.projection(view);
-        let Some((depth, tiles)) = &self.occlusion else {
-            panic!("boxes are tested before any occluders");
-        };
+        let (depth, tiles) = self.occlusion();
+        let items = draws.chunk_by(|a, b| a.item == b.item);
+        items
+            .map(|draws| {
+                let painter = Painter::new(&projection, draws, &self.meshes, &self.textures);
+                painter.any_passes(depth, tiles)
+            })
+            .collect()
+    }
+
+    fn query_boxes(&self, view: &View, boxes: &[BoxQuery]) -> Vec<bool> {
+        let projection = self.projection(view);
+        let (depth, tiles) = self.occlusion();
         boxes.iter().map(|query| boxes::is_visible(&projection, query, depth, tiles)).collect()
     }
 }
@@ -150,6 +170,10 @@ impl CpuBackend {
 impl Backend for CpuBackend {
     fn info(&self) -> BackendInfo {
         BackendInfo { name: "cpu".into(), driver: "embedded z-buffer rasteriser".into() }
+    }
+
+    fn precision(&self) -> Precision {
+        Precision::f64(project::guard_band(self.size))
     }
 
     fn held_bytes(&self) -> u64 {
@@ -189,11 +213,16 @@ impl Backend for CpuBackend {
         self.under_way.take(&pass);
         let (view, lists, part, with_depth) = match &pass {
             Pass::QueryBoxes { view, boxes, method: _ } => {
-                let visible = self.query(view, boxes);
+                let visible = self.query_boxes(view, boxes);
                 self.done.push_back(Completion::Boxes { ticket, first: 0, visible, last: true });
                 return Ok(ticket);
             }
-            Pass::Occluders { view, draws, part } => (view, [&draws[..], &[]], *part, false),
+            Pass::QueryMeshes { view, draws } => {
+                let visible = self.query_meshes(view, draws);
+                self.done.push_back(Completion::Boxes { ticket, first: 0, visible, last: true });
+                return Ok(ticket);
+            }
+            Pass::Occluders { view, draws, part, .. } => (view, [&draws[..], &[]], *part, false),
             Pass::Shade { view, draws, with_depth, part, .. } => {
                 (view, [&draws.solid[..], &draws.blending], *part, *with_depth)
             }

@@ -5,7 +5,7 @@ use super::project::{Placed, Projection, apply};
 use super::raster::{Span, Turns};
 use super::relight::Sunlight;
 use super::shade::{Pixel, Placement, Surface};
-use super::target::{Depth, pixel_count};
+use super::target::{Depth, TileMinima, pixel_count};
 use super::texture::Textures;
 use crate::backend::{Draw, normal};
 use protocol::format::Class;
@@ -51,7 +51,20 @@ impl<'a> Painter<'a> {
 
     /// Writes the depth of what is opaque.
     pub(super) fn occlude(&self, depth: &mut Depth) {
-        self.rasterise(self.blob_by_blob(&OPAQUE), |_, _, span| depth.write(&span));
+        let _ = self.rasterise(self.blob_by_blob(&OPAQUE), |_, _, span| {
+            depth.write(&span);
+            ControlFlow::Continue(())
+        });
+    }
+
+    /// Whether a pixel of any class passes.
+    pub(super) fn any_passes(&self, depth: &Depth, tiles: &TileMinima) -> bool {
+        let order = self.draw_by_draw(&Class::ALL);
+        let found = self.rasterise(order, |_, _, span| match depth.any_passes(&span, tiles) {
+            true => ControlFlow::Break(()),
+            false => ControlFlow::Continue(()),
+        });
+        found.is_break()
     }
 
     /// Writes depth and linear colours of what is solid.
@@ -100,7 +113,7 @@ impl<'a> Painter<'a> {
     pub(super) fn blend(&self, depth: &Depth, colors: &mut [[f32; 3]], sunlight: Sunlight) {
         let placements = self.placements();
         let mut latest = Latest(None);
-        self.rasterise(self.draw_by_draw(&BLEND), |owner, _, span| {
+        let _ = self.rasterise(self.draw_by_draw(&BLEND), |owner, _, span| {
             depth.visit_passing(&span, |at, x| {
                 let pixel = self.pixel(x, span.y);
                 let surface = latest.of(owner, self, &placements);
@@ -110,6 +123,7 @@ impl<'a> Painter<'a> {
                     *under += (over - *under) * alpha;
                 }
             });
+            ControlFlow::Continue(())
         });
     }
 
@@ -120,8 +134,9 @@ impl<'a> Painter<'a> {
 
     /// Writes items of what blends.
     pub(super) fn mark_blending(&self, depth: &Depth, blended: &mut [u32]) {
-        self.rasterise(self.draw_by_draw(&BLEND), |owner, _, span| {
+        let _ = self.rasterise(self.draw_by_draw(&BLEND), |owner, _, span| {
             depth.visit_passing(&span, |at, _| blended[at] = self.item(owner));
+            ControlFlow::Continue(())
         });
     }
 
@@ -129,14 +144,16 @@ impl<'a> Painter<'a> {
     fn own<T: Copy>(&self, depth: &mut Depth, marks: &mut [T], mark: impl Fn(u64) -> T) {
         let placements = self.placements();
         let mut latest = Latest(None);
-        self.rasterise(self.blob_by_blob(&SOLID), |owner, class, span| {
+        let _ = self.rasterise(self.blob_by_blob(&SOLID), |owner, class, span| {
             if class.is_opaque() {
-                return depth.write_owned(&span, mark(owner), marks);
+                depth.write_owned(&span, mark(owner), marks);
+            } else {
+                let surface = latest.of(owner, self, &placements);
+                depth.write_owned_where(&span, mark(owner), marks, |x| {
+                    surface.is_there(self.textures, self.pixel(x, span.y))
+                });
             }
-            let surface = latest.of(owner, self, &placements);
-            depth.write_owned_where(&span, mark(owner), marks, |x| {
-                surface.is_there(self.textures, self.pixel(x, span.y))
-            });
+            ControlFlow::Continue(())
         });
     }
 
@@ -183,12 +200,12 @@ impl<'a> Painter<'a> {
         draws.flat_map(move |draw| classes.iter().map(move |&class| (draw, class)))
     }
 
-    /// Hands every span to `span`, with `draw << 32 | triangle` and its class.
+    /// Hands every span to `span`, with `draw << 32 | triangle` and its class, until that breaks.
     fn rasterise(
         &self,
         order: impl Iterator<Item = (usize, Class)>,
-        mut span: impl FnMut(u64, Class, Span),
-    ) {
+        mut span: impl FnMut(u64, Class, Span) -> ControlFlow<()>,
+    ) -> ControlFlow<()> {
         let mut placed: Vec<Placed> = Vec::new();
         for (index, class) in order {
             let (draw, mesh) = (&self.draws[index], self.meshes[index]);
@@ -207,17 +224,15 @@ impl<'a> Painter<'a> {
             };
             for number in triangles {
                 let corners = mesh.triangles[number].map(usize::from);
-                let _ = self.projection.triangle(
+                self.projection.triangle(
                     corners.map(|vertex| placed[vertex]),
                     drawn,
                     |k| clip(corners[k]),
-                    |part| {
-                        span((index as u64) << 32 | number as u64, class, part);
-                        ControlFlow::Continue(())
-                    },
-                );
+                    |part| span((index as u64) << 32 | number as u64, class, part),
+                )?;
             }
         }
+        ControlFlow::Continue(())
     }
 }
 

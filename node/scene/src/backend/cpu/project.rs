@@ -39,6 +39,12 @@ impl Placed {
     }
 }
 
+/// How far from the middle of the picture triangles are clipped at most, in halves of its sides.
+pub(super) fn guard_band(size: PictureSize) -> f64 {
+    let least_half = f64::from(size.width.min(size.height)) * 0.5;
+    (GRID_MAX / SUBPIXELS) as f64 / least_half
+}
+
 /// The projection of one view, in f64.
 pub(super) struct Projection {
     pub(super) size: PictureSize,

@@ -80,7 +80,7 @@ fn items(view: View, solid: Vec<Draw>) -> Pass {
 }
 
 fn occluders(view: View, draws: Vec<Draw>) -> Pass {
-    Pass::Occluders { view, draws, part: Part::WHOLE }
+    Pass::Occluders { view, draws, adds: false, part: Part::WHOLE }
 }
 
 fn run(backend: &mut CpuBackend, pass: Pass) -> Completion {
