@@ -150,7 +150,7 @@ fn frame(store: &Store, original: &Original<'_>, camera: &Camera, seed: u64) -> 
 fn median_quotient(name: &str, scene: &Scene, frames: u32) -> f64 {
     let store = Store::open(&scene.occ).unwrap();
     let original = Original::new(&store, 256 << 20);
-    let near = near_plane(store.skeleton().diagonal());
+    let near = near_plane(store.skeleton());
     let mut all = Vec::new();
     for kind in ["walk", "orbit", "zoom"] {
         let poses = read_csv(&scene.path(kind, frames)).unwrap();

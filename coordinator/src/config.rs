@@ -50,6 +50,8 @@ pub struct Rig {
     pub cull: Option<Cull>,
     /// Pixel error.
     pub lod: Option<PixelError>,
+    /// Distance of the near plane.
+    pub near: Option<Near>,
     /// Towards the sun, `[x, y, z]`.
     pub sun: Option<Sun>,
     /// `every=N` or `off`.
@@ -126,6 +128,31 @@ impl TryFrom<f64> for PixelError {
 }
 
 impl FromStr for PixelError {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        text.parse::<f64>().map_err(|_| format!("`{text}` is not a number"))?.try_into()
+    }
+}
+
+/// Distance of the near plane, scene units; a normal `f32`.
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
+#[serde(try_from = "f64")]
+pub struct Near(pub f64);
+
+impl TryFrom<f64> for Near {
+    type Error = String;
+
+    fn try_from(distance: f64) -> Result<Self, String> {
+        if (distance as f32).is_normal() && distance > 0.0 {
+            Ok(Self(distance))
+        } else {
+            Err(format!("{distance} is not a distance: give scene units, above 0 and finite"))
+        }
+    }
+}
+
+impl FromStr for Near {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
@@ -277,9 +304,10 @@ mod tests {
 
     #[test]
     fn rig_files_refuse_unknown_keys_and_bad_values() {
-        let good = "processes = 3\nbind = \"127.0.0.1:0\"\nsize = \"64x48\"\ncull = \"boxes\"\nlod = 0.5\naudit = \"off\"";
+        let good = "processes = 3\nbind = \"127.0.0.1:0\"\nsize = \"64x48\"\ncull = \"boxes\"\nlod = 0.5\nnear = 0.01\naudit = \"off\"";
         let rig: Rig = toml::from_str(good).unwrap();
         assert_eq!((rig.processes, rig.audit), (Some(Processes(3)), Some(Every(0))));
+        assert_eq!(rig.near, Some(Near(0.01)));
         for bad in [
             "processes = 2",
             "sise = \"1x1\"",
@@ -290,6 +318,12 @@ mod tests {
             "prefetch = true",
             "lod = -1.0",
             "lod = nan",
+            "near = 0.0",
+            "near = -1.0",
+            "near = inf",
+            "near = nan",
+            "near = 1e-60",
+            "near = \"close\"",
             "sun = [0, 0, 0]",
             "sun = [0, 0, inf]",
             "sun = [1, 2]",

@@ -1,5 +1,6 @@
 //! The camera of one frame, in the scene's own units and axes.
 
+use crate::format::Skeleton;
 use serde::{Deserialize, Serialize};
 
 /// A pinhole camera: 56 bytes on the wire, below the 72 of paper 004, section 4.5.
@@ -100,14 +101,66 @@ fn unit(v: [f64; 3]) -> Option<[f64; 3]> {
     Some(scaled.map(|c| c / length))
 }
 
-/// Distance of the near plane as a share of the scene's diagonal: a centimetre in a hall of 100 m.
-pub const NEAR_OF_DIAGONAL: f64 = 1e-4;
+/// Distance of the near plane as a share of how far a scene reaches: a centimetre in a hall of 100 m.
+pub const NEAR_OF_REACH: f64 = 1e-4;
+/// A leaf so many times as long as one of the shorter ones is out of proportion: a ground plane, say.
+const OUT_OF_PROPORTION: f64 = 256.0;
+/// Bounds of the near distance, scene units: `near / w` is a normal `f32` up to 1e7 times as far away
+/// as the scene reaches, and no scene is so large that its near distance is none.
+const LEAST_NEAR: f64 = 1e-30;
+const GREATEST_NEAR: f64 = 1e30;
+/// The same as a share of the scene's diagonal.
+const LEAST_OF_DIAGONAL: f64 = 1e-18;
 
-/// Near plane for a scene whose box has this diagonal, scene units.
+/// Distance of the near plane for a scene, in its units: [`NEAR_OF_REACH`] of how far it reaches.
 ///
-/// A scene without extent has no scale to go by; its near plane is [`NEAR_OF_DIAGONAL`] units.
-pub fn near_plane(diagonal: f64) -> f64 {
-    NEAR_OF_DIAGONAL * if diagonal > 0.0 { diagonal } else { 1.0 }
+/// A scene reaches as far as its leaves cover it: the diagonal of a box whose sides are as long as the
+/// leaves' boxes cover each axis, gaps left out. So what stands kilometres beside a hall adds its own
+/// size and not the way there. Leaves out of proportion do not count, lest a plane below everything
+/// cover it all: those more than [`OUT_OF_PROPORTION`] times as long as the lower quartile of all.
+/// Where leaves lie close to each other, as they do in most scenes, that is the diagonal of the whole,
+/// and it is never more.
+///
+/// Depth is reversed, in 32-bit floats (`near / w`): its relative precision is the same for any near
+/// distance, so nothing is lost by a short one but what numbers can hold. A vertex where the near plane cuts
+/// an edge is off by a share of the edge's length, however near that plane is.
+///
+/// A scene whose leaves have no extent has no scale to go by: its near plane is [`NEAR_OF_REACH`]
+/// units away.
+pub fn near_plane(skeleton: &Skeleton) -> f64 {
+    let leaves = skeleton.hlods.iter().filter(|hlod| hlod.child_count == 0);
+    let boxes: Vec<[[f64; 3]; 2]> = leaves.map(|leaf| [leaf.min, leaf.max]).collect();
+    near_of(&boxes, skeleton.diagonal())
+}
+
+/// The same for the boxes of leaves and the diagonal around them.
+fn near_of(boxes: &[[[f64; 3]; 2]], diagonal: f64) -> f64 {
+    let reach = reach(boxes).min(diagonal);
+    let near = NEAR_OF_REACH * if reach > 0.0 { reach } else { 1.0 };
+    near.max(diagonal * LEAST_OF_DIAGONAL).clamp(LEAST_NEAR, GREATEST_NEAR)
+}
+
+/// How far boxes reach that are not out of proportion, gaps between them left out.
+fn reach(boxes: &[[[f64; 3]; 2]]) -> f64 {
+    let length = |sides: [f64; 3]| sides.iter().map(|side| side * side).sum::<f64>().sqrt();
+    let sized = |[min, max]: &[[f64; 3]; 2]| length(std::array::from_fn(|k| max[k] - min[k]));
+    let mut sizes: Vec<f64> = boxes.iter().map(sized).collect();
+    sizes.sort_by(f64::total_cmp);
+    let quartile = sizes.get(sizes.len().saturating_sub(1) / 4).copied().unwrap_or(0.0);
+
+    let counted: Vec<&[[f64; 3]; 2]> =
+        boxes.iter().filter(|own| sized(own) <= OUT_OF_PROPORTION * quartile).collect();
+    length(std::array::from_fn(|axis| {
+        let mut spans: Vec<[f64; 2]> =
+            counted.iter().map(|[min, max]| [min[axis], max[axis]]).collect();
+        spans.sort_by(|a, b| a[0].total_cmp(&b[0]));
+        let (mut covered, mut end) = (0.0, f64::NEG_INFINITY);
+        for [low, high] in spans {
+            covered += (high - low.max(end)).max(0.0);
+            end = high.max(end);
+        }
+        covered
+    }))
 }
 
 #[cfg(test)]
@@ -134,5 +187,71 @@ mod tests {
         assert_eq!(look(o, z, y, 180.0, 0.1), CameraError::BadFieldOfView);
         assert_eq!(look(o, z, y, 60.0, 0.0), CameraError::BadNear);
         assert_eq!(look([f64::NAN, 0.0, 0.0], z, y, 60.0, 0.1), CameraError::NotFinite);
+    }
+
+    /// The near plane of a scene with these leaves, and its diagonal.
+    fn near(leaves: &[[[f64; 3]; 2]]) -> (f64, f64) {
+        let sides = (0..3).map(|k| {
+            let low = leaves.iter().fold(f64::INFINITY, |low, [min, _]| low.min(min[k]));
+            leaves.iter().fold(f64::NEG_INFINITY, |high, [_, max]| high.max(max[k])) - low
+        });
+        let diagonal = sides.map(|side| side * side).sum::<f64>().sqrt();
+        (near_of(leaves, diagonal), diagonal)
+    }
+
+    fn cube(at: f64, side: f64) -> [[f64; 3]; 2] {
+        [[at; 3], [at + side; 3]]
+    }
+
+    /// A hall of 100 cubes in a row, a unit each.
+    fn hall(at: f64) -> Vec<[[f64; 3]; 2]> {
+        let room = |i: u8| {
+            let x = at + f64::from(i);
+            [[x, at, at], [x + 1.0, at + 1.0, at + 1.0]]
+        };
+        (0..100).map(room).collect()
+    }
+
+    #[test]
+    fn without_gaps_the_near_plane_is_a_share_of_the_diagonal() {
+        for at in [0.0, -1e7] {
+            let (near, diagonal) = near(&hall(at));
+            assert_eq!(near, 1e-4 * diagonal);
+        }
+        for size in [1e-9, 1.0, 1e9] {
+            let (near, diagonal) = near(&[cube(3.0 * size, size)]);
+            assert_eq!(near, 1e-4 * diagonal, "{size}");
+        }
+        assert_eq!(near(&[[[0.0; 3], [4.0, 3.0, 0.0]]]).0, 5e-4);
+    }
+
+    #[test]
+    fn strays_do_not_move_the_near_plane() {
+        let (alone, _) = near(&hall(0.0));
+        let two_strays = [cube(5e6, 2.0), cube(-5e6, 2.0)];
+        let strays: [&[[[f64; 3]; 2]]; 3] =
+            [&two_strays[..1], &two_strays, &[[[-5e6, -5e6, 0.0], [5e6, 5e6, 0.0]]]];
+        for stray in strays {
+            let (near, _) = near(&[&hall(0.0), stray].concat());
+            assert!((alone..1.1 * alone).contains(&near), "{near} {alone} {stray:?}");
+        }
+        let (pair, _) = near(&[cube(0.0, 2.0), cube(5e6, 2.0)]);
+        assert!(pair < 1e-3, "{pair}");
+    }
+
+    #[test]
+    fn the_near_plane_is_a_distance_whatever_the_scene() {
+        assert_eq!(near(&[cube(5.0, 0.0)]).0, NEAR_OF_REACH);
+        for leaves in [
+            vec![cube(0.0, 1e-150)],
+            vec![cube(0.0, 1e300)],
+            vec![cube(0.0, 0.0), cube(1e15, 0.0)],
+            vec![cube(0.0, 1e-20), cube(1e15, 1e-20)],
+        ] {
+            let (near, diagonal) = near(&leaves);
+            let farthest = diagonal.clamp(1e-30, 1e35) as f32;
+            assert!((near as f32).is_normal() && near <= 1e-4 * diagonal.max(1.0));
+            assert!((near as f32 / farthest).is_normal(), "{near} {farthest}");
+        }
     }
 }

@@ -5,7 +5,7 @@ use protocol::camera::{Camera, CameraError};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-/// The columns, in their order.
+/// The columns, in their order; [`NEAR`] may follow.
 pub(super) const HEADER: [&str; 10] = [
     "eye_x",
     "eye_y",
@@ -18,6 +18,9 @@ pub(super) const HEADER: [&str; 10] = [
     "up_z",
     "fov_y_deg",
 ];
+/// The last column, which may be left out: distance of the near plane, scene units. An empty cell
+/// leaves it to the scene.
+const NEAR: &str = "near";
 
 /// Why a camera path was not read or written.
 #[derive(Debug, thiserror::Error)]
@@ -39,7 +42,7 @@ pub enum PathError {
         source: std::io::Error,
     },
     /// The first line is not the header.
-    #[error("{path}: line 1 must read {}", HEADER.join(","))]
+    #[error("{path}: line 1 must read {}, and may end in ,{NEAR}", HEADER.join(","))]
     Header {
         /// The file.
         path: PathBuf,
@@ -88,7 +91,8 @@ pub fn read_csv(path: &Path) -> Result<Vec<Pose>, PathError> {
         .from_reader(file);
     let mut poses = Vec::new();
     let mut record = csv::StringRecord::new();
-    let mut header_seen = false;
+    // How many columns the header has.
+    let mut columns = None;
     loop {
         let more = reader.read_record(&mut record).map_err(|e| match e.kind() {
             csv::ErrorKind::Io(_) => PathError::Io { path: owned(), source: e.into() },
@@ -101,28 +105,31 @@ pub fn read_csv(path: &Path) -> Result<Vec<Pose>, PathError> {
         if !more {
             break;
         }
-        if !header_seen {
-            if record.iter().ne(HEADER) {
+        let Some(columns) = columns else {
+            if record.iter().ne(HEADER) && record.iter().ne(HEADER.into_iter().chain([NEAR])) {
                 return Err(PathError::Header { path: owned() });
             }
-            header_seen = true;
+            columns = Some(record.len());
             continue;
-        }
+        };
         let line = record.position().map_or(0, csv::Position::line);
-        let pose =
-            parse(&record).map_err(|reason| PathError::Line { path: owned(), line, reason })?;
+        let pose = parse(&record, columns).map_err(|reason| PathError::Line {
+            path: owned(),
+            line,
+            reason,
+        })?;
         poses.push(pose);
     }
-    match (header_seen, poses.is_empty()) {
-        (false, _) => Err(PathError::Header { path: owned() }),
-        (true, true) => Err(PathError::NoFrames { path: owned() }),
+    match (columns, poses.is_empty()) {
+        (None, _) => Err(PathError::Header { path: owned() }),
+        (Some(_), true) => Err(PathError::NoFrames { path: owned() }),
         _ => Ok(poses),
     }
 }
 
-fn parse(record: &csv::StringRecord) -> Result<Pose, String> {
-    if record.len() != HEADER.len() {
-        return Err(format!("{} columns where there must be {}", record.len(), HEADER.len()));
+fn parse(record: &csv::StringRecord, columns: usize) -> Result<Pose, String> {
+    if record.len() != columns {
+        return Err(format!("{} columns where there must be {columns}", record.len()));
     }
     let mut values = [0.0f64; 10];
     for ((value, text), name) in values.iter_mut().zip(record).zip(HEADER) {
@@ -132,9 +139,17 @@ fn parse(record: &csv::StringRecord) -> Result<Pose, String> {
         }
     }
     let [ex, ey, ez, tx, ty, tz, ux, uy, uz, fov_y_deg] = values;
-    let pose = Pose { eye: [ex, ey, ez], target: [tx, ty, tz], up: [ux, uy, uz], fov_y_deg };
-    // Any near plane does: only the pose is in question here.
-    Camera::look_at(pose.eye, pose.target, pose.up, fov_y_deg, 1.0)
+    let near = match record.get(HEADER.len()) {
+        None | Some("") => None,
+        Some(text) => {
+            let near = text.parse().map_err(|_| format!("{NEAR} is not a number: {text:?}"))?;
+            Some(near)
+        }
+    };
+    let (eye, target, up) = ([ex, ey, ez], [tx, ty, tz], [ux, uy, uz]);
+    let pose = Pose { eye, target, up, fov_y_deg, near };
+    // That of the scene is a distance.
+    Camera::look_at(eye, target, up, fov_y_deg, near.unwrap_or(1.0))
         .map_err(|e: CameraError| e.to_string())?;
     Ok(pose)
 }
@@ -150,12 +165,17 @@ pub fn write_csv(path: &Path, poses: &[Pose]) -> Result<(), PathError> {
     let temporary = path.with_file_name(name);
     let written = (|| {
         let mut out = std::io::BufWriter::new(std::fs::File::create(&temporary)?);
-        writeln!(out, "{}", HEADER.join(","))?;
+        let has_near = poses.iter().any(|pose| pose.near.is_some());
+        writeln!(out, "{}{}", HEADER.join(","), if has_near { ",near" } else { "" })?;
         for pose in poses {
             for v in pose.eye.iter().chain(&pose.target).chain(&pose.up) {
                 write!(out, "{v:?},")?;
             }
-            writeln!(out, "{:?}", pose.fov_y_deg)?;
+            write!(out, "{:?}", pose.fov_y_deg)?;
+            match pose.near {
+                Some(near) => writeln!(out, ",{near:?}")?,
+                None => writeln!(out, "{}", if has_near { "," } else { "" })?,
+            }
         }
         out.into_inner().map_err(std::io::IntoInnerError::into_error)?.sync_all()?;
         std::fs::rename(&temporary, path)
@@ -221,18 +241,35 @@ mod tests {
     }
 
     #[test]
+    fn a_column_may_say_where_the_near_plane_is() {
+        let header = format!("{},near\n", HEADER.join(","));
+        let read = |rows: &str| read_text(format!("{header}{rows}"));
+        let poses = read("0,0,0,1,0,0,0,1,0,60,0.25\n0,0,0,1,0,0,0,1,0,60,\n").unwrap();
+        assert_eq!([poses[0].near, poses[1].near], [Some(0.25), None]);
+        for bad in ["", ",0", ",-1", ",nan", ",inf", ",1e-60", ",near", ",1,2"] {
+            let row = format!("0,0,0,1,0,0,0,1,0,60{bad}\n");
+            assert!(matches!(read(&row), Err(PathError::Line { line: 2, .. })), "{bad}");
+        }
+    }
+
+    #[test]
     fn what_is_written_reads_back_bit_for_bit() {
         let pose = |k: f64| Pose {
             eye: [k / 3.0, -1e7 - k, 1e-300 * k],
             target: [0.1 + k, 0.2, std::f64::consts::PI],
             up: [0.0, 0.0, 1.0],
             fov_y_deg: 59.999_999_999_999_99,
+            near: None,
         };
         let poses: Vec<Pose> = (1..20).map(|k| pose(f64::from(k))).collect();
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("path.csv");
         write_csv(&path, &poses).unwrap();
         assert_eq!(read_csv(&path).unwrap(), poses);
+        let mut some = poses.clone();
+        some.iter_mut().step_by(3).for_each(|pose| pose.near = Some(0.1 / pose.eye[0]));
+        write_csv(&path, &some).unwrap();
+        assert_eq!(read_csv(&path).unwrap(), some);
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
         let missing = folder.path().join("no/such.csv");
         assert_eq!(write_csv(&missing, &poses).unwrap_err().exit_code(), 74);

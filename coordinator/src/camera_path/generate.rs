@@ -151,7 +151,7 @@ impl Scene {
             let level = cos * self.level[0][k] + sin * self.level[1][k];
             target[k] + distance * (run * level + rise * self.up[k])
         });
-        Pose { eye, target, up: self.up, fov_y_deg: FOV_Y_DEG }
+        Pose { eye, target, up: self.up, fov_y_deg: FOV_Y_DEG, near: None }
     }
 
     fn orbit(&self, frames: u32, seed: u64) -> Vec<Pose> {

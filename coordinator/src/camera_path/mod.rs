@@ -26,6 +26,8 @@ pub struct Pose {
     pub up: [f64; 3],
     /// Full vertical field of view, degrees, in (0, 180).
     pub fov_y_deg: f64,
+    /// Distance of the near plane, scene units; `None` for that of the scene.
+    pub near: Option<f64>,
 }
 
 /// A pose that makes no camera.
@@ -38,7 +40,7 @@ pub struct CamerasError {
     pub source: CameraError,
 }
 
-/// Cameras of `poses` with the near plane at `near` scene units.
+/// Cameras of `poses`, with the near plane at `near` scene units where a pose does not say.
 ///
 /// # Errors
 /// The first pose that makes no camera.
@@ -47,8 +49,14 @@ pub fn cameras(poses: &[Pose], near: f64) -> Result<Vec<Camera>, CamerasError> {
         .iter()
         .enumerate()
         .map(|(frame, pose)| {
-            Camera::look_at(pose.eye, pose.target, pose.up, pose.fov_y_deg, near)
-                .map_err(|source| CamerasError { frame, source })
+            Camera::look_at(
+                pose.eye,
+                pose.target,
+                pose.up,
+                pose.fov_y_deg,
+                pose.near.unwrap_or(near),
+            )
+            .map_err(|source| CamerasError { frame, source })
         })
         .collect()
 }
@@ -64,6 +72,7 @@ mod tests {
             target: [1.0, 0.0, 0.0],
             up: [0.0, 1.0, 0.0],
             fov_y_deg: FOV_Y_DEG,
+            near: None,
         };
         let bad = Pose { up: [3.0, 0.0, 0.0], ..good };
         assert_eq!(cameras(&[good, good], 0.1).unwrap().len(), 2);
@@ -71,6 +80,8 @@ mod tests {
             cameras(&[good, bad], 0.1),
             Err(CamerasError { frame: 1, source: CameraError::NoUp })
         );
-        assert!(protocol::camera::near_plane(0.0) > 0.0);
+        let own = Pose { near: Some(0.5), ..good };
+        let near = cameras(&[good, own], 0.1).unwrap().into_iter().map(|camera| camera.near);
+        assert!(near.eq([0.1, 0.5]));
     }
 }

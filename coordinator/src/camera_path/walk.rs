@@ -71,7 +71,13 @@ pub(super) fn walk(
             let direction = turn(gaze, way.outlook(s, ahead));
             gaze = Some(direction);
             let target = std::array::from_fn(|k| eye[k] + direction[k] * ahead);
-            Pose { eye: grid.scene(eye), target: grid.scene(target), up, fov_y_deg: FOV_Y_DEG }
+            Pose {
+                eye: grid.scene(eye),
+                target: grid.scene(target),
+                up,
+                fov_y_deg: FOV_Y_DEG,
+                near: None,
+            }
         })
         .collect();
     Some(poses)

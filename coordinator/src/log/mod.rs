@@ -28,6 +28,8 @@ pub struct SceneFacts {
     pub objects: u64,
     /// Digest of the scene file, in hex.
     pub digest: String,
+    /// Distance of the near plane over the frames, scene units.
+    pub near: stats::Stats,
 }
 
 /// A log file could not be written.

@@ -190,6 +190,8 @@ pub struct Summary {
     pub cull: Cull,
     /// Pixel error asked for.
     pub lod_px: f64,
+    /// Distance of the near plane over the frames, scene units.
+    pub near: Stats,
     /// Pictures.
     pub frames: usize,
     /// Length of a phase; of the frames without measuring work, if there are any.
@@ -245,6 +247,7 @@ pub fn summarise(record: &RunRecord, scene: &SceneFacts, rows: &[FrameRow]) -> S
         schedule: record.settings.schedule,
         cull: record.settings.cull,
         lod_px: record.settings.lod_px,
+        near: scene.near,
         frames: rows.len(),
         frame_ms,
         latency_ms: Latency {

@@ -140,6 +140,7 @@ fn facts() -> SceneFacts {
         triangles: 9000,
         objects: 3,
         digest: "00".into(),
+        near: Stats::of([0.5]),
     }
 }
 

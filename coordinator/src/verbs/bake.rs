@@ -10,7 +10,7 @@ use ::bake::progress::Bars;
 use ::bake::{Options, WorkError};
 use anyhow::anyhow;
 use coordinator::camera_path::{PathKind, Pose, cameras};
-use coordinator::config::Bytes;
+use coordinator::config::{Bytes, Near};
 use protocol::camera::near_plane;
 use protocol::format::Method;
 use protocol::format::projected::is_side;
@@ -72,6 +72,10 @@ pub(crate) struct Args {
     /// Most triangles of the source in a view cell before it is divided
     #[arg(long, value_name = "N", default_value_t = ::bake::far::DEFAULT_CELL_TRIANGLES)]
     far_cell_triangles: u64,
+    /// Distance of the near plane of samples, and of views where the path does not say, scene units [default: a
+    /// ten thousandth of how far the scene reaches]
+    #[arg(long, value_name = "DISTANCE", env = "OCCLUSTER_NEAR")]
+    near: Option<Near>,
     /// The renderer that takes samples: auto, gpu or cpu. The same bytes everywhere come of cpu alone
     #[arg(long, default_value = "cpu", value_parser = word::<BackendChoice>)]
     backend: BackendChoice,
@@ -136,10 +140,10 @@ fn add_far(
         Some(poses) => poses,
         None => path::poses(&store, PathKind::Walk, WALKED_POSES, 1)?,
     };
-    let near = near_plane(store.skeleton().diagonal());
+    let near = args.near.map_or_else(|| near_plane(store.skeleton()), |near| near.0);
     drop(store);
     let views = cameras(&poses, near).or_exit(BAD_DATA)?;
-    let mut settings = Settings::new(args.far, views);
+    let mut settings = Settings::new(args.far, views, near as f32);
     (settings.side, settings.in_space) = (args.far_side, args.far_in_space);
     (settings.samples, settings.epsilon_sr) = (args.far_samples, args.far_epsilon);
     (settings.always, settings.relight) = (args.far_always, args.far_relight);

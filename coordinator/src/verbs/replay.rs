@@ -8,13 +8,14 @@ use super::{path, scene_file};
 use anyhow::{Context, anyhow};
 use coordinator::camera_path::{self, PathKind, Pose};
 use coordinator::config::{
-    Bytes, Every, Pictures, PixelError, Processes, Rig, Size, Switch, Towards,
+    Bytes, Every, Near, Pictures, PixelError, Processes, Rig, Size, Switch, Towards,
 };
+use coordinator::log::stats::Stats;
 use coordinator::log::summary::Summary;
 use coordinator::log::table::table;
 use coordinator::log::{SceneFacts, write_all};
 use coordinator::run::{self as rig_run, RunError, RunPlan};
-use protocol::camera::near_plane;
+use protocol::camera::{Camera, near_plane};
 use protocol::settings::{
     BackendChoice, Cull, FAR_CUBES, Far, PictureSize, Residency, RunSettings, Schedule,
 };
@@ -63,6 +64,10 @@ pub(crate) struct RunOptions {
     /// Largest error of what is drawn, in pixels; 0 draws the original geometry
     #[arg(long, value_name = "PX", env = "OCCLUSTER_LOD")]
     pub(super) lod: Option<PixelError>,
+    /// Distance of the near plane, scene units [default: the path's, or a ten thousandth of how far the scene
+    /// reaches]
+    #[arg(long, value_name = "DISTANCE", env = "OCCLUSTER_NEAR")]
+    pub(super) near: Option<Near>,
     /// Direction towards the sun, scene axes, of any length [default: 0.35,0.85,0.4]
     #[arg(long, value_name = "X,Y,Z", env = "OCCLUSTER_SUN", allow_hyphen_values = true)]
     pub(super) sun: Option<Towards>,
@@ -150,10 +155,14 @@ pub(super) fn replay(args: Args) -> Result<(Summary, Option<PathBuf>), Failure> 
     if let Some(out) = &args.out {
         forget_former_run(out)?;
     }
-    let near = near_plane(store.skeleton().diagonal());
+    if let Some(Near(near)) = args.options.near.or(rig.near) {
+        poses.iter_mut().for_each(|pose| pose.near = Some(near));
+    }
+    let near = near_plane(store.skeleton());
     let cameras = camera_path::cameras(&poses, near).or_exit(BAD_DATA)?;
     let settings = settings(&args, &rig, &store, cameras.len())?;
     let frames = settings.frames;
+    let facts = facts(&args.scene, &store, &cameras);
     let plan = RunPlan { settings, cameras, rig: rig_of(&args, &rig)? };
     let _during = During::new(Work::Running);
     let mut live = LiveLine::new(frames);
@@ -167,7 +176,6 @@ pub(super) fn replay(args: Args) -> Result<(Summary, Option<PathBuf>), Failure> 
         Failure { code, error: Some(error.into()) }
     })?;
 
-    let facts = facts(&args.scene, &store);
     match &args.out {
         Some(out) => Ok((write_all(&record, &facts, out).or_exit(IO)?, args.out)),
         None => Ok((coordinator::log::figures(&record, &facts), None)),
@@ -264,13 +272,14 @@ fn forget_former_run(out: &Path) -> Result<(), Failure> {
     Ok(())
 }
 
-fn facts(path: &Path, store: &Store) -> SceneFacts {
+fn facts(path: &Path, store: &Store, cameras: &[Camera]) -> SceneFacts {
     let skeleton = store.skeleton();
     SceneFacts {
         path: path.display().to_string(),
         hlods: skeleton.hlods.len() as u64,
         triangles: skeleton.info.source_triangles,
         objects: u64::from(skeleton.info.objects),
+        near: Stats::of(cameras.iter().map(|camera| f64::from(camera.near))),
         digest: store.digest().iter().map(|byte| format!("{byte:02x}")).collect(),
     }
 }

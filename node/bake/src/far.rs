@@ -18,7 +18,7 @@ pub use farfield::cells::CELL_TRIANGLES as DEFAULT_CELL_TRIANGLES;
 use farfield::cells::{Division, cells_along};
 use file::FarFile;
 use glam::DVec3;
-use protocol::camera::{Camera, near_plane};
+use protocol::camera::Camera;
 use protocol::format::{Method, WriteError};
 use protocol::message::FailureKind;
 use scene::backend::{Backend, BackendError};
@@ -36,6 +36,8 @@ pub struct Settings {
     pub method: Method,
     /// Pictures that will be taken: their viewpoints are to lie in cells with far fields.
     pub views: Vec<Camera>,
+    /// Distance of the near plane of samples, scene units.
+    pub near: f32,
     /// How the scene is divided into cells.
     pub division: Division,
     /// Cells hold viewpoints at all heights, not only at that of the views.
@@ -60,10 +62,11 @@ pub struct Settings {
 
 impl Settings {
     /// The paper's: 512x512 faces, 0.2 steradians, half a pixel.
-    pub fn new(method: Method, views: Vec<Camera>) -> Self {
+    pub fn new(method: Method, views: Vec<Camera>, near: f32) -> Self {
         Self {
             method,
             views,
+            near,
             division: Division::default(),
             in_space: false,
             side: 512,
@@ -172,13 +175,11 @@ fn written(
     if cells.is_empty() {
         return Err(FarError::Nowhere(store.path().to_owned()));
     }
-    // That of pictures.
-    let near = near_plane(skeleton.diagonal()) as f32;
     let mut renderer = String::new();
     let mut studio = |side: u32| -> Result<Studio<'_>, FarError> {
         let backend = make_backend(side).map_err(CaptureError::from)?;
         renderer = format!("{:?}", backend.info());
-        Ok(Studio::new(store, backend, side, near)?)
+        Ok(Studio::new(store, backend, side, settings.near)?)
     };
     let mut search = studio(settings.search_side)?;
     let fine = studio(settings.side)?;

@@ -1,8 +1,9 @@
 //! Division of a mesh that does not fit the memory: the very pieces that `slice` makes, by reading the
 //! mesh and files of the working folder front to back.
 
+use crate::grid::Shared;
 use crate::pieces::PieceMesh;
-use crate::scratch::{Scratch, ScratchWriter, Walk};
+use crate::scratch::{Scratch, ScratchWriter};
 use crate::seams::SeamFinder;
 use crate::slice::{Frame, Gatherer, Local};
 use crate::spool::Scene;
@@ -10,6 +11,7 @@ use crate::work::{Appender, Records, Span, Work, WorkError};
 use geometry::bounds::Aabb;
 use geometry::mesh::Mesh;
 use geometry::partition::{Bins, Item, Piece, Splitter, Step, Tally};
+use glam::Vec3;
 use rayon::prelude::*;
 use std::collections::HashMap;
 
@@ -40,8 +42,8 @@ pub(crate) struct Giant<'a> {
 struct Parts {
     triangles: Scratch<u32>,
     counts: Vec<u32>,
-    /// The longest side of a piece.
-    largest: f32,
+    /// Of each piece.
+    bounds: Vec<[Vec3; 2]>,
 }
 
 impl Giant<'_> {
@@ -53,28 +55,44 @@ impl Giant<'_> {
         mut out: impl FnMut(&mut Appender, PieceMesh) -> Result<(), WorkError>,
     ) -> Result<Vec<Span>, WorkError> {
         let bounds = self.bounds()?;
-        let parts = self.parts(&bounds)?;
-        let step = self.frame.step(&bounds, f64::from(parts.largest));
+        let parts = self.parts()?;
+        let steps: Vec<f64> =
+            parts.bounds.iter().map(|&piece| self.frame.step(&bounds, piece)).collect();
         let vertices = self.scene.meshes[self.mesh].positions;
         let places = (self.memory / SHARE / SEAM_BYTES).max(LEAST_PLACES);
         let mut seams = SeamFinder::new(self.work, vertices, places)?;
         let most = (self.memory / SHARE / GATHERED_BYTES) as usize;
-        let mut triangles = parts.triangles.read()?;
-        let mut counts = &parts.counts[..];
-        while !counts.is_empty() {
-            let mut sum = 0;
-            let fits = |&&count: &&u32| {
-                sum += count as usize;
-                sum <= most
-            };
-            let few = counts.iter().take_while(fits).count().max(1);
-            for piece in self.gathered(&mut triangles, &counts[..few], step)? {
-                seams.add(&piece)?;
-                out(file, piece)?;
-            }
-            counts = &counts[few..];
+        let mut shared = Shared::new(&steps);
+        // Those on a coarser grid than others say where what they share with them lies.
+        if steps.iter().any(|&step| shared.is_coarse(step)) {
+            let is_coarse: Vec<bool> = steps.iter().map(|&step| shared.is_coarse(step)).collect();
+            self.gathered(
+                &parts,
+                most,
+                |piece| is_coarse[piece],
+                |first, meshes| {
+                    for (mesh, &step) in meshes.iter().zip(&steps[first..]) {
+                        if shared.is_coarse(step) {
+                            shared.note(mesh, step);
+                        }
+                    }
+                    Ok(())
+                },
+            )?;
         }
-        drop(triangles);
+        self.gathered(
+            &parts,
+            most,
+            |_| true,
+            |first, meshes| {
+                let pieces = meshes.into_par_iter().zip(&steps[first..]);
+                let pieces = pieces.map(|(mesh, &step)| self.frame.piece(mesh, step, &shared));
+                pieces.flatten_iter().collect::<Vec<_>>().into_iter().try_for_each(|piece| {
+                    seams.add(&piece)?;
+                    out(file, piece)
+                })
+            },
+        )?;
         drop(parts);
         seams.finish(file)
     }
@@ -87,18 +105,18 @@ impl Giant<'_> {
     }
 
     /// Divides the mesh: sets that do not fit the memory are cut into two files each.
-    fn parts(&self, bounds: &Aabb) -> Result<Parts, WorkError> {
+    fn parts(&self) -> Result<Parts, WorkError> {
         let most = (self.memory / SHARE / DIVIDED_BYTES) as usize;
         let mut all = Set::create(self.work)?;
         let mut first = 0;
         for part in self.scene.parts_of(self.mesh) {
             let part = self.scene.some_parts(self.source, part..part + 1)?;
-            all.push(&self.frame.items(&part, bounds.center(), first))?;
+            all.push(&self.frame.items(&part, first))?;
             first += part.indices.len() as u32;
         }
         let splitter = Splitter::new(self.frame.limits, &all.tally);
         let mut triangles = ScratchWriter::create(self.work, "triangles")?;
-        let (mut counts, mut largest) = (Vec::new(), 0.0f32);
+        let (mut counts, mut boxes) = (Vec::new(), Vec::new());
         // Sets still to be looked at, the next one last.
         let mut open = vec![all.finish()?];
         while let Some((items, tally)) = open.pop() {
@@ -108,12 +126,12 @@ impl Giant<'_> {
             };
             let is_left: Box<dyn Fn(&Item) -> bool> = match step {
                 Step::Piece => {
-                    for Piece { triangles: ids, longest } in
+                    for Piece { triangles: ids, bounds } in
                         splitter.divide(&mut items.load()?, &tally)
                     {
                         triangles.push(&ids)?;
                         counts.push(ids.len() as u32);
-                        largest = largest.max(longest);
+                        boxes.push(bounds);
                     }
                     continue;
                 }
@@ -134,24 +152,47 @@ impl Giant<'_> {
             open.push(right.finish()?);
             open.push(left.finish()?);
         }
-        Ok(Parts { triangles: triangles.finish()?, counts, largest })
+        Ok(Parts { triangles: triangles.finish()?, counts, bounds: boxes })
     }
 
-    /// The next pieces, with so many triangles each.
+    /// Hands out the meshes of all pieces, as many at a time as have `most` triangles, with the number of the
+    /// first; those that are not wanted are empty.
     fn gathered(
         &self,
-        triangles: &mut Walk<'_, u32>,
-        counts: &[u32],
-        step: f64,
-    ) -> Result<Vec<PieceMesh>, WorkError> {
-        // (triangle, piece), in the order of the mesh.
-        let mut wanted: Vec<(u32, u32)> = Vec::new();
-        for (&count, piece) in counts.iter().zip(0..) {
-            wanted.extend(triangles.next(count as usize)?.into_iter().map(|id| (id, piece)));
+        parts: &Parts,
+        most: usize,
+        is_wanted: impl Fn(usize) -> bool,
+        mut out: impl FnMut(usize, Vec<Mesh>) -> Result<(), WorkError>,
+    ) -> Result<(), WorkError> {
+        let mut triangles = parts.triangles.read()?;
+        let mut first = 0;
+        while first < parts.counts.len() {
+            let mut sum = 0;
+            let fits = |&(piece, &count): &(usize, &u32)| {
+                sum += if is_wanted(piece) { count as usize } else { 0 };
+                sum <= most
+            };
+            let counts = parts.counts.iter().enumerate().skip(first);
+            let few = counts.take_while(fits).count().max(1);
+            // (triangle, piece), in the order of the mesh.
+            let mut wanted: Vec<(u32, u32)> = Vec::new();
+            for (piece, number) in (first..first + few).zip(0..) {
+                let ids = triangles.next(parts.counts[piece] as usize)?;
+                if is_wanted(piece) {
+                    wanted.extend(ids.into_iter().map(|id| (id, number)));
+                }
+            }
+            wanted.par_sort_unstable();
+            out(first, self.meshes(&wanted, few)?)?;
+            first += few;
         }
-        wanted.par_sort_unstable();
-        let mut meshes = vec![Mesh::default(); counts.len()];
-        let (mut wanted, mut first) = (&wanted[..], 0u32);
+        Ok(())
+    }
+
+    /// So many meshes of the triangles in `wanted`, each with the number of its mesh.
+    fn meshes(&self, wanted: &[(u32, u32)], count: usize) -> Result<Vec<Mesh>, WorkError> {
+        let mut meshes = vec![Mesh::default(); count];
+        let (mut wanted, mut first) = (wanted, 0u32);
         for part in self.scene.parts_of(self.mesh) {
             let end = first + self.scene.part_triangles(part);
             let (here, behind) = wanted.split_at(wanted.partition_point(|&(id, _)| id < end));
@@ -173,8 +214,7 @@ impl Giant<'_> {
             }
             (wanted, first) = (behind, end);
         }
-        let pieces = meshes.into_par_iter().map(|mesh| self.frame.piece(mesh, step));
-        Ok(pieces.flatten_iter().collect())
+        Ok(meshes)
     }
 }
 
@@ -243,6 +283,7 @@ fn ranked(items: &Scratch<Item>, axis: usize, mut below: u64) -> Result<u64, Wor
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::bulk::{self, Bulk};
     use crate::options::Options;
     use crate::slice::Slicer;
     use crate::source::{Imported, Section, Sink, SourceMesh};
@@ -264,8 +305,10 @@ mod tests {
         let order = |i: u32| (u64::from(i) * 7919 % u64::from(side * side)) as u32;
         let mut indices: Vec<[u32; 3]> = (0..side * side).flat_map(|i| quad(order(i))).collect();
         let heap = positions.len() as u32;
-        positions.extend([[5.0, 5.0, 9.0], [6.0, 5.0, 9.0], [5.0, 6.0, 9.0]]);
+        positions.extend([[5.0, 5.0, 9.0], [6.0, 5.0, 9.0], [5.0, 6.0, 9.0], [-3e6, 9.0, 1e5]]);
         indices.extend([[heap, heap + 1, heap + 2]; 9000]);
+        // One that reaches far away, in the middle of the list.
+        indices[777] = [40, heap + 3, 60];
         let end = indices.len() as u32;
         SourceMesh {
             normals: vec![[0.0, 0.6, 0.8]; positions.len()],
@@ -289,12 +332,14 @@ mod tests {
         assert!(scene.parts_of(0).len() > 1);
         let options = Options { piece_triangles: 300, ..Options::default() };
         let slicer = Slicer { options: &options, scene_diagonal: 300.0 };
+        let samples = || bulk::placed(scene.samples_of(0), &DAffine3::IDENTITY, 1.0);
+        let bulk = Bulk::of(samples());
         let mut placement = DAffine3::from_scale(DVec3::new(-1.0, 2.0, 0.5));
         placement.translation = DVec3::new(1e6, 0.0, 3.0);
         for placements in [vec![placement], vec![placement, DAffine3::IDENTITY]] {
-            let expected = slicer.pieces(&whole, &placements);
+            let expected = slicer.pieces(&whole, &placements, bulk);
             for memory in [200_000, 1_000_000, 1 << 24] {
-                let frame = slicer.frame(&placements);
+                let frame = slicer.frame(&placements, bulk);
                 let giant =
                     Giant { work: &work, scene: &scene, source: &source, mesh: 0, frame, memory };
                 let mut file = Appender::create(&work.path("out")).unwrap();

@@ -158,8 +158,7 @@ impl Builder<'_> {
             let mut mesh = Mesh::default();
             for member in group {
                 mesh.append(&self.piece(member)?.mesh(|other| self.meeting_depth(member, other)));
-                // Rounding to the nearest grid point moved at most sqrt(3)/2 of a step.
-                error = error.max(self.pieces.infos[member.piece as usize].step);
+                error = error.max(self.pieces.infos[member.piece as usize].error);
             }
             let packed = pack(&mesh, group_step, self.surfaces());
             let packed = packed.expect("pieces without an area were left out");

@@ -1,9 +1,11 @@
 //! Source scene to scene file.
 
 mod built;
+mod bulk;
 mod bytes;
 pub mod far;
 mod giant;
+mod grid;
 mod hlod;
 pub mod import;
 mod keys;

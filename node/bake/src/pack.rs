@@ -1,7 +1,7 @@
 //! Quantising positions to a power-of-two grid, and meshes to the bytes of a blob.
 //!
 //! All grids share the origin of their space: every position is a whole multiple of its step. So
-//! pieces with one step close without cracks, and a coarser grid is a subset of a finer one.
+//! a coarser grid is a subset of a finer one; `grid` says how pieces on different ones close.
 
 use crate::bytes::{Decoder, Encoder, Torn};
 use crate::source::{Alpha, Surface};

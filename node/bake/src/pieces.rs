@@ -18,8 +18,11 @@ pub(crate) const ALL_PIECES: u32 = u32::MAX;
 pub(crate) struct PieceMesh {
     /// Position of grid point (0, 0, 0).
     pub(crate) origin: DVec3,
-    /// The same for all pieces of a mesh.
+    /// Size of a grid step.
     pub(crate) step: f64,
+    /// How far rounding has moved a vertex at most. More than a step where it shares one with a piece on a
+    /// coarser grid.
+    pub(crate) error: f64,
     pub(crate) vertices: Vec<Vertex>,
     /// One a vertex, or none.
     tex_coords: Vec<[f32; 2]>,
@@ -34,9 +37,9 @@ pub(crate) struct PieceMesh {
 }
 
 impl PieceMesh {
-    /// Packs a mesh whose vertices lie on the grid of `step`; `None` when no triangle has three
+    /// Packs a mesh whose vertices lie on the grid of `step`, moved there by `error` at most; `None` when no triangle has three
     /// different corners. Equal vertices become one, in order of first use.
-    pub(crate) fn of(mesh: &Mesh, step: f64) -> Option<Self> {
+    pub(crate) fn of(mesh: &Mesh, step: f64, error: f64) -> Option<Self> {
         let has_area = |t: &&[u32; 3]| {
             let [a, b, c] = mesh.corners(**t);
             a != b && b != c && c != a
@@ -47,6 +50,7 @@ impl PieceMesh {
         let mut piece = Self {
             origin,
             step,
+            error,
             vertices: Vec::new(),
             tex_coords: Vec::new(),
             surfaces: Vec::new(),
@@ -123,7 +127,7 @@ impl PieceMesh {
     pub(crate) fn encode(&self) -> Vec<u8> {
         let mut out = Encoder::default();
         out.put(self.origin.to_array());
-        out.put(self.step);
+        out.put([self.step, self.error]);
         out.put(self.source_triangles);
         out.put_slice(&self.vertices);
         out.put_slice(&self.tex_coords);
@@ -135,9 +139,12 @@ impl PieceMesh {
 
     pub(crate) fn decode(bytes: &[u8]) -> Result<Self, Torn> {
         let mut from = Decoder(bytes);
+        let origin = DVec3::from_array(from.take()?);
+        let [step, error] = from.take()?;
         let piece = Self {
-            origin: DVec3::from_array(from.take()?),
-            step: from.take()?,
+            origin,
+            step,
+            error,
             source_triangles: from.take()?,
             vertices: from.take_slice()?,
             tex_coords: from.take_slice()?,

@@ -2,17 +2,20 @@
 //! small objects clustered by proximity, uneven clusters divided again, and a balanced hierarchy of
 //! boxes built top down.
 
+use crate::bulk::{self, Bulk};
 use crate::bytes::{Decoder, Encoder, Torn};
 use crate::giant::Giant;
+use crate::grid;
 use crate::options::Options;
 use crate::pieces::{ALL_PIECES, PieceMesh};
-use crate::slice::Slicer;
+use crate::slice::{Slicer, stretch};
 use crate::spool::Scene;
 use crate::work::{Appender, Records, Span, Work, WorkError};
 use geometry::bounds::Aabb;
 use geometry::cluster::{ClusterItem, ClusterLimits, SplitLimits, cluster, split_uneven};
 use geometry::criteria::{self, Criteria};
 use geometry::hierarchy::{self, Tree};
+use geometry::mesh::largest_stretch;
 use glam::{DAffine3, DVec3};
 use protocol::format::{NONE, Transform};
 use rayon::prelude::*;
@@ -21,6 +24,11 @@ use std::ops::Range;
 /// A cluster whose members' boxes have less than this share of its own box's surface is uneven.
 const LEAST_FILL: f64 = 0.5;
 const PIECES: &str = "pieces";
+/// Rounding by more than so many steps of the grid that suits the scene is noted. A piece as long as the scene
+/// needs two.
+const NOTED_STEPS: f64 = 8.0;
+/// Most notes that name an object.
+const MOST_NOTES: u64 = 8;
 /// Bytes that a mesh being divided takes, by byte of its own.
 const SLICING_FACTOR: u64 = 3;
 /// Bytes of small meshes that are divided at once: more keep no thread busier.
@@ -40,6 +48,8 @@ pub(crate) struct PieceInfo {
     pub(crate) vertices: u32,
     pub(crate) source_triangles: u64,
     pub(crate) step: f64,
+    /// How far rounding has moved a vertex at most.
+    pub(crate) error: f64,
     pub(crate) bounds: Aabb,
     span: Span,
     /// Its seams, where they are not with it.
@@ -67,6 +77,7 @@ impl Pieces {
         let budget = options.memory / SLICING_FACTOR;
         let placements = placements(scene);
         let slicer = Slicer { options, scene_diagonal: diagonal(scene) };
+        let bulk_of = |mesh| bulk::placed(scene.samples_of(mesh), &DAffine3::IDENTITY, 1.0);
         let source = Scene::open(work)?;
         let mut file = Appender::create(&work.path(PIECES))?;
         let mut pieces = Self { first: vec![0], ..Self::default() };
@@ -78,7 +89,7 @@ impl Pieces {
                     scene,
                     source: &source,
                     mesh: next,
-                    frame: slicer.frame(&placements[next]),
+                    frame: slicer.frame(&placements[next], Bulk::of(bulk_of(next))),
                     memory: options.memory,
                 };
                 pieces.add_giant(&mut file, &giant, placements[next].len())?;
@@ -94,7 +105,11 @@ impl Pieces {
                 .map(|mesh| {
                     let own = match placements[mesh].is_empty() {
                         true => Vec::new(),
-                        false => slicer.pieces(&scene.mesh(&source, mesh)?, &placements[mesh]),
+                        false => slicer.pieces(
+                            &scene.mesh(&source, mesh)?,
+                            &placements[mesh],
+                            Bulk::of(bulk_of(mesh)),
+                        ),
                     };
                     done();
                     Ok(own)
@@ -105,7 +120,43 @@ impl Pieces {
             }
         }
         file.flush()?;
+        pieces.note_rounded(scene, &placements, slicer.scene_diagonal);
         Ok(pieces)
+    }
+
+    /// Says which objects have vertices on a much coarser grid than a scene of this diagonal calls for.
+    fn note_rounded(&mut self, scene: &Scene, placements: &[Vec<DAffine3>], diagonal: f64) {
+        let mut objects: Vec<Option<&str>> = vec![None; scene.meshes.len()];
+        for object in &scene.objects {
+            objects[object.mesh].get_or_insert(&object.name);
+        }
+        let mut more = 0u64;
+        for (mesh, name) in objects.into_iter().enumerate() {
+            let own = &self.infos[self.of_mesh(mesh)];
+            let scene = diagonal / stretch(&placements[mesh]);
+            if own.is_empty() || !scene.is_finite() {
+                continue;
+            }
+            let step = grid::common_step(f64::INFINITY, scene);
+            let rounded = own.iter().filter(|info| info.error > NOTED_STEPS * step);
+            let (vertices, farthest) =
+                rounded.fold((0u64, 0.0f64), |(vertices, farthest), info| {
+                    (vertices + u64::from(info.vertices), farthest.max(info.error))
+                });
+            let Some(name) = name.filter(|_| vertices > 0) else { continue };
+            if (self.notes.len() as u64) < MOST_NOTES {
+                self.notes.push(format!(
+                    "object \"{name}\": {vertices} vertices of triangles that reach far beyond the rest of \
+                     the scene, or are shared with such, are rounded by up to {farthest:e} units"
+                ));
+            } else {
+                more += 1;
+            }
+        }
+        if more > 0 {
+            self.notes
+                .push(format!("{more} more objects have vertices that are rounded like this"));
+        }
     }
 
     fn add(
@@ -154,6 +205,7 @@ impl Pieces {
             vertices: piece.vertices.len() as u32,
             source_triangles: piece.source_triangles,
             step: piece.step,
+            error: piece.error,
             bounds,
             span,
             seams: Span::default(),
@@ -204,7 +256,7 @@ impl Pieces {
         for piece in &self.infos {
             out.put([piece.mesh, u32::from(piece.is_shared), piece.triangles, piece.vertices]);
             out.put(piece.source_triangles);
-            out.put(piece.step);
+            out.put([piece.step, piece.error]);
             out.put([piece.bounds.min.to_array(), piece.bounds.max.to_array()]);
             out.put([piece.span, piece.seams]);
         }
@@ -220,7 +272,7 @@ impl Pieces {
         for _ in 0..from.take_count()? {
             let [mesh, shared, triangles, vertices] = from.take::<[u32; 4]>()?;
             let source_triangles = from.take()?;
-            let step = from.take()?;
+            let [step, error] = from.take()?;
             let [min, max]: [[f64; 3]; 2] = from.take()?;
             let bounds = Aabb { min: min.into(), max: max.into() };
             let [span, seams] = from.take::<[Span; 2]>()?;
@@ -231,6 +283,7 @@ impl Pieces {
                 vertices,
                 source_triangles,
                 step,
+                error,
                 bounds,
                 span,
                 seams,
@@ -264,11 +317,16 @@ fn batch(scene: &Scene, first: usize, budget: u64) -> Range<usize> {
     first..end
 }
 
-/// Diagonal of a box around all objects.
+/// Diagonal of a box around all objects, but no more than most of them reach: strays do not count.
 fn diagonal(scene: &Scene) -> f64 {
-    let objects = scene.objects.iter().filter(|o| !scene.meshes[o.mesh].bounds.is_empty());
-    let boxes = objects.map(|o| placed_box(scene.meshes[o.mesh].bounds, &o.world_from_mesh));
-    boxes.fold(Aabb::EMPTY, Aabb::union).diagonal()
+    let objects = || scene.objects.iter().filter(|o| !scene.meshes[o.mesh].bounds.is_empty());
+    let boxes = objects().map(|o| placed_box(scene.meshes[o.mesh].bounds, &o.world_from_mesh));
+    let whole = boxes.fold(Aabb::EMPTY, Aabb::union).diagonal();
+    let samples = objects().flat_map(|o| {
+        let stretch = largest_stretch(&o.world_from_mesh.matrix3);
+        bulk::placed(scene.samples_of(o.mesh), &o.world_from_mesh, stretch)
+    });
+    whole.min(Bulk::of(samples).reach)
 }
 
 /// The box around a placed box.
@@ -360,15 +418,15 @@ impl Plan {
         }
         plan.counts.objects = object_boxes.len() as u64;
         plan.counts.divided = candidates.len() as u64;
-        plan.group(&candidates, pieces, options);
+        plan.group(&candidates, pieces, options, diagonal(scene));
         plan.link(&candidates, pieces, options);
         let plain = hierarchy::plain(&object_boxes, options.branching);
         plan.plain_criteria = criteria::measure(&plain, &object_boxes, &object_triangles);
         plan
     }
 
-    /// Clusters candidates to leaves.
-    fn group(&mut self, candidates: &[Member], pieces: &Pieces, options: &Options) {
+    /// Clusters candidates to leaves; `diagonal` is the scene's, strays left out.
+    fn group(&mut self, candidates: &[Member], pieces: &Pieces, options: &Options, diagonal: f64) {
         let items: Vec<ClusterItem> = candidates
             .iter()
             .map(|member| ClusterItem {
@@ -376,8 +434,7 @@ impl Plan {
                 triangles: pieces.infos[member.piece as usize].triangles,
             })
             .collect();
-        let whole = items.iter().fold(Aabb::EMPTY, |sum, item| sum.union(item.bounds));
-        let extent = whole.diagonal() * options.piece_extent;
+        let extent = diagonal * options.piece_extent;
         let limits = ClusterLimits {
             triangles: options.piece_triangles as u32,
             extent,

@@ -4,6 +4,7 @@ use crate::pieces::{ALL_PIECES, PieceMesh};
 use crate::scratch::Buckets;
 use crate::work::{Appender, Span, Work, WorkError};
 use bytemuck::{Pod, Zeroable};
+use glam::DVec3;
 use rayon::prelude::*;
 
 /// More pieces than this round one vertex count as all of the mesh's.
@@ -28,13 +29,18 @@ struct Seam {
 }
 
 fn places(number: u32, piece: &PieceMesh) -> impl Iterator<Item = Place> {
-    piece.vertices.iter().zip(0..).map(move |(vertex, index)| {
-        let bits = piece.position(vertex).to_array().map(|c| (c + 0.0).to_bits());
-        let hash = bits.iter().fold(0u64, |hash, word| {
-            (hash.rotate_left(23) ^ word).wrapping_mul(0x9e37_79b9_7f4a_7c15)
-        });
-        Place { hash, piece: number, vertex: index }
+    piece.vertices.iter().zip(0..).map(move |(vertex, index)| Place {
+        hash: hash_of(piece.position(vertex)),
+        piece: number,
+        vertex: index,
     })
+}
+
+/// A hash of a place; that of -0 and of 0 is the same.
+pub(crate) fn hash_of(place: DVec3) -> u64 {
+    let bits = place.to_array().map(|c| (c + 0.0).to_bits());
+    bits.iter()
+        .fold(0u64, |hash, word| (hash.rotate_left(23) ^ word).wrapping_mul(0x9e37_79b9_7f4a_7c15))
 }
 
 /// The seams among all places that have one of some hashes, in no order.

@@ -44,12 +44,13 @@ pub(crate) fn make(
     let base = piece.mesh(|_| 0);
     let pack =
         |mesh: &Mesh| pack(mesh, piece.step, surfaces).expect("levels have triangles with an area");
-    let mut made = vec![MadeLevel { error: piece.step, packed: pack(&base), piece: None }];
-    let mut chain = Chain::new(&base, piece.step, 0.0, setting);
+    let mut made = vec![MadeLevel { error: piece.error, packed: pack(&base), piece: None }];
+    let mut chain = Chain::new(&base, piece.error, 0.0, setting);
     let mut last: Option<CoarseMesh> = None;
     loop {
         let Ok(level) = chain.next(last.as_ref(), None) else { return made };
-        let mut coarse = PieceMesh::of(&level.mesh, piece.step).expect("it was just packed");
+        let mut coarse =
+            PieceMesh::of(&level.mesh, piece.step, piece.error).expect("it was just packed");
         coarse.inherit_seams(piece);
         made.push(MadeLevel { error: level.error, packed: pack(&level.mesh), piece: Some(coarse) });
         last = Some(level);

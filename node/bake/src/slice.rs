@@ -1,7 +1,8 @@
 //! Meshes divided into pieces, top down (paper 004, section 2.2, the first partition).
 
+use crate::bulk::Bulk;
+use crate::grid::{self, Shared};
 use crate::options::Options;
-use crate::pack;
 use crate::pieces::PieceMesh;
 use crate::seams;
 use crate::source::SourceMesh;
@@ -13,64 +14,90 @@ use glam::{DAffine3, DVec3, Vec3};
 use rayon::prelude::*;
 use std::collections::HashMap;
 
-/// Steps that an object's diagonal is divided into at least, however large the scene is.
-const STEPS_PER_OBJECT: f64 = (1u32 << 16) as f64;
-/// Steps that the scene's diagonal is divided into, unless an object demands finer or coarser ones.
-const STEPS_PER_SCENE: f64 = (1u32 << 23) as f64;
-/// How far a box of single precision may be off at either end, as a share of the mesh's longest side.
+/// A piece longer than this share of the scene holds no triangle that is small beside it: the grid that
+/// all pieces have in common is too fine for it.
+const OWN_GRID: f64 = 0.25;
+/// How far a box of single precision may be off at either end, as a share of how far that is from the
+/// middle.
 const ROUNDING: f64 = 1.0 / (1 << 23) as f64;
 
 /// How meshes are to be divided.
 pub(crate) struct Slicer<'a> {
     pub(crate) options: &'a Options,
-    /// Length of the whole scene's diagonal.
+    /// Length of the scene's diagonal, strays left out.
     pub(crate) scene_diagonal: f64,
 }
 
 impl<'a> Slicer<'a> {
     /// How a mesh that stands at `placements`, one at least, is to be divided: in the world if there is
-    /// one, else in the mesh's own space.
-    pub(crate) fn frame(&self, placements: &'a [DAffine3]) -> Frame<'a> {
+    /// one, else in the mesh's own space. `bulk` is where most of it lies, in its own space.
+    pub(crate) fn frame(&self, placements: &'a [DAffine3], bulk: Bulk) -> Frame<'a> {
         let place = match placements {
             [only] => Some(only),
             _ => None,
         };
-        // World sizes in units of the piece's own space.
-        let stretch = match place {
-            Some(_) => 1.0,
-            None => placements.iter().map(|p| largest_stretch(&p.matrix3)).fold(0.0, f64::max),
+        let bulk = match place {
+            Some(place) => Bulk {
+                middle: place.transform_point3(bulk.middle),
+                reach: bulk.reach * largest_stretch(&place.matrix3),
+            },
+            None => bulk,
         };
         // Infinite for a mesh that all its users flatten to a point: then nothing sprawls.
-        let scene_diagonal = self.scene_diagonal / stretch;
+        let scene_diagonal = self.scene_diagonal / stretch(placements);
         let limits = Limits {
             triangles: self.options.piece_triangles,
             extent: (scene_diagonal * self.options.piece_extent) as f32,
             least_triangles: self.options.piece_least_triangles,
+            in_proportion: (scene_diagonal * OWN_GRID) as f32,
         };
-        Frame { place, limits, scene_diagonal }
+        Frame { place, limits, scene_diagonal, bulk }
     }
 
     /// Pieces of a mesh. Those without an area on the grid are left out.
-    pub(crate) fn pieces(&self, mesh: &SourceMesh, placements: &'a [DAffine3]) -> Vec<PieceMesh> {
+    pub(crate) fn pieces(
+        &self,
+        mesh: &SourceMesh,
+        placements: &'a [DAffine3],
+        bulk: Bulk,
+    ) -> Vec<PieceMesh> {
         if placements.is_empty() || mesh.indices.is_empty() {
             return Vec::new();
         }
-        let frame = self.frame(placements);
+        let frame = self.frame(placements, bulk);
         let bounds = frame.bounds(mesh);
-        let mut items = frame.items(mesh, bounds.center(), 0);
+        let mut items = frame.items(mesh, 0);
         let whole = Tally::of(&items);
         let parts = Splitter::new(frame.limits, &whole).divide(&mut items, &whole);
         drop(items);
-        let largest = parts.iter().map(|part| f64::from(part.longest)).fold(0.0, f64::max);
-        let step = frame.step(&bounds, largest);
+        let steps: Vec<f64> = parts.iter().map(|part| frame.step(&bounds, part.bounds)).collect();
         let gatherer = Gatherer::new(mesh, &frame);
-        let piece = |local: &mut Local, part: Piece| {
-            frame.piece(gatherer.gather(part.triangles.iter().copied(), local), step)
+        let gather = |part: &Piece, local: &mut Local| {
+            gatherer.gather(part.triangles.iter().copied(), local)
         };
-        let pieces = parts.into_par_iter().map_init(HashMap::default, piece);
+
+        // Those on a coarser grid than others say where what they share with them lies.
+        let mut shared = Shared::new(&steps);
+        for (part, &step) in parts.iter().zip(&steps) {
+            if shared.is_coarse(step) {
+                shared.note(&gather(part, &mut HashMap::default()), step);
+            }
+        }
+        let piece = |local: &mut Local, (part, step): (Piece, f64)| {
+            frame.piece(gather(&part, local), step, &shared)
+        };
+        let pieces = parts.into_par_iter().zip(steps).map_init(HashMap::default, piece);
         let mut pieces: Vec<PieceMesh> = pieces.flatten_iter().collect();
         seams::find(&mut pieces);
         pieces
+    }
+}
+
+/// World sizes in units of the space that pieces of a mesh with these placements lie in.
+pub(crate) fn stretch(placements: &[DAffine3]) -> f64 {
+    match placements {
+        [_] => 1.0,
+        _ => placements.iter().map(|p| largest_stretch(&p.matrix3)).fold(0.0, f64::max),
     }
 }
 
@@ -79,51 +106,55 @@ pub(crate) struct Frame<'a> {
     /// None for the mesh's own space.
     place: Option<&'a DAffine3>,
     pub(crate) limits: Limits,
-    /// In the space of the pieces.
+    /// In the space of the pieces, strays left out.
     scene_diagonal: f64,
+    /// Where most of the mesh lies, in the space of the pieces.
+    bulk: Bulk,
 }
 
 impl Frame<'_> {
-    fn point(&self, p: [f32; 3]) -> DVec3 {
-        let p = Vec3::from_array(p).as_dvec3();
+    fn point(&self, p: DVec3) -> DVec3 {
         self.place.map_or(p, |target_from_mesh| target_from_mesh.transform_point3(p))
     }
 
     /// The box around a mesh's vertices.
     pub(crate) fn bounds(&self, mesh: &SourceMesh) -> Aabb {
-        let some = |points: &[[f32; 3]]| Aabb::of(points.iter().map(|&p| self.point(p)));
-        mesh.positions.par_chunks(1 << 14).map(some).reduce(|| Aabb::EMPTY, Aabb::union)
+        let at = |vertex: usize| Aabb::of([self.point(mesh.position(vertex))]);
+        let vertices = (0..mesh.positions.len()).into_par_iter().with_min_len(1 << 14);
+        vertices.map(at).reduce(|| Aabb::EMPTY, Aabb::union)
     }
 
-    /// Boxes of a mesh's triangles, numbered from `first` on.
-    pub(crate) fn items(&self, mesh: &SourceMesh, center: DVec3, first: u32) -> Vec<Item> {
-        let corner = |index: u32| (self.point(mesh.positions[index as usize]) - center).as_vec3();
+    /// Boxes of a mesh's triangles, numbered from `first` on, relative to where most of it lies: there single
+    /// precision is finest.
+    pub(crate) fn items(&self, mesh: &SourceMesh, first: u32) -> Vec<Item> {
+        let corner =
+            |index: u32| (self.point(mesh.position(index as usize)) - self.bulk.middle).as_vec3();
         let triangles = mesh.indices.par_iter().enumerate();
         triangles.map(|(i, triangle)| Item::of(first + i as u32, triangle.map(corner))).collect()
     }
 
-    /// One step for all pieces of a mesh in these bounds: as fine as scene and object call for, as
-    /// coarse as the largest piece needs, whose box of single precision is `largest` long.
-    pub(crate) fn step(&self, bounds: &Aabb, largest: f64) -> f64 {
-        let longest = bounds.extent().max_element();
+    /// The step of a piece whose triangles have this box, of a mesh in these bounds: the one that suits the
+    /// mesh, or as coarse as the piece itself needs.
+    pub(crate) fn step(&self, bounds: &Aabb, piece: [Vec3; 2]) -> f64 {
+        let common = grid::common_step(bounds.diagonal().min(self.bulk.reach), self.scene_diagonal);
+        let [low, high] = piece.map(Vec3::as_dvec3);
+        let rounding = 2.0 * ROUNDING * low.abs().max(high.abs());
         // Coordinates beyond single precision make it infinite or no number.
-        let largest = (largest + 2.0 * ROUNDING * longest).min(longest);
-        let farthest = bounds.min.abs().max(bounds.max.abs()).max_element();
-        let wanted = bounds.diagonal() / STEPS_PER_OBJECT;
-        let wanted = match self.scene_diagonal.is_finite() {
-            true => wanted.min(self.scene_diagonal / STEPS_PER_SCENE),
-            false => wanted,
-        };
-        pack::power_of_two_at_least(wanted).max(pack::finest_step(largest, farthest))
+        let longest = bounds.extent().max_element();
+        let extent = (high - low + rounding).max_element().min(longest);
+        let whole = bounds.min.abs().max(bounds.max.abs());
+        let [low, high] = [low - rounding, high + rounding].map(|end| end + self.bulk.middle);
+        let farthest = low.abs().max(high.abs()).min(whole).max_element();
+        grid::step(common, extent, farthest)
     }
 
     /// The piece that a gathered mesh makes; none without an area on the grid.
-    pub(crate) fn piece(&self, mut mesh: Mesh, step: f64) -> Option<PieceMesh> {
+    pub(crate) fn piece(&self, mut mesh: Mesh, step: f64, shared: &Shared) -> Option<PieceMesh> {
         if let Some(world_from_mesh) = self.place {
             mesh.turn(&world_from_mesh.matrix3);
         }
-        pack::snap(&mut mesh, step);
-        PieceMesh::of(&mesh, step)
+        let error = shared.snap(&mut mesh, step);
+        PieceMesh::of(&mesh, step, error)
     }
 }
 
@@ -179,7 +210,7 @@ impl<'a> Gatherer<'a> {
             tex_coord: mesh.tex_coords.get(i).copied().unwrap_or_default(),
             surface: self.surfaces[i.min(self.surfaces.len() - 1)],
             ..MeshVertex::plain(
-                self.frame.point(mesh.positions[i]),
+                self.frame.point(mesh.position(i)),
                 Vec3::from_array(mesh.normals[i]),
                 mesh.colors[i],
             )
@@ -190,6 +221,7 @@ impl<'a> Gatherer<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::bulk;
     use crate::pieces::ALL_PIECES;
     use crate::source::Section;
 
@@ -211,9 +243,15 @@ mod tests {
         }
     }
 
+    fn bulk_of(mesh: &SourceMesh) -> Bulk {
+        let samples = bulk::samples(mesh).into_iter().map(|sample| (sample, 1.0));
+        Bulk::of(bulk::placed(samples, &DAffine3::IDENTITY, 1.0))
+    }
+
     fn slice(mesh: &SourceMesh, placements: &[DAffine3], piece_triangles: usize) -> Vec<PieceMesh> {
         let options = Options { piece_triangles, ..Options::default() };
-        Slicer { options: &options, scene_diagonal: 1000.0 }.pieces(mesh, placements)
+        let slicer = Slicer { options: &options, scene_diagonal: 1000.0 };
+        slicer.pieces(mesh, placements, bulk_of(mesh))
     }
 
     #[test]
@@ -262,7 +300,7 @@ mod tests {
         let pieces = slice(&sheet(8), &[DAffine3::IDENTITY], 40);
         let mut mesh = pieces[0].mesh(|_| 0);
         mesh.triangles.truncate(10);
-        let mut coarser = PieceMesh::of(&mesh, pieces[0].step).unwrap();
+        let mut coarser = PieceMesh::of(&mesh, pieces[0].step, 0.0).unwrap();
         coarser.inherit_seams(&pieces[0]);
         assert!(!coarser.seams.is_empty() && coarser.seams.len() < pieces[0].seams.len());
         for &[vertex, other] in &coarser.seams {
@@ -271,6 +309,62 @@ mod tests {
                 o == other && pieces[0].position(&pieces[0].vertices[v as usize]) == at
             }));
         }
+    }
+
+    /// A sheet as large as that of `sheet(side)` with a triangle on its border that reaches far away.
+    fn with_a_long_one(side: u32) -> SourceMesh {
+        let mut mesh = sheet(side);
+        let far = mesh.positions.len() as u32;
+        mesh.positions.push([3.3, -5e6, 0.0]);
+        mesh.normals.push([0.0, 0.0, 1.0]);
+        mesh.colors.push([200; 4]);
+        mesh.indices.insert(7, [side / 4, far, 3 * side / 4]);
+        mesh.sections[0].end += 1;
+        let off = |p: &mut [f32; 3]| *p = [p[0] + 0.37, p[1] - 0.21, p[2]];
+        mesh.positions.iter_mut().for_each(off);
+        mesh
+    }
+
+    #[test]
+    fn a_long_triangle_costs_only_its_own_corners() {
+        let mesh = with_a_long_one(20);
+        for placements in [vec![DAffine3::IDENTITY], vec![DAffine3::IDENTITY; 2]] {
+            let pieces = slice(&mesh, &placements, 1000);
+            let coarsest = pieces.iter().map(|piece| piece.step).fold(0.0, f64::max);
+            assert_eq!(coarsest, 4.0);
+            let fine: Vec<_> = pieces.iter().filter(|piece| piece.step < 1e-3).collect();
+            assert_eq!(fine.iter().map(|piece| piece.triangles.len()).sum::<usize>(), 800);
+
+            // All corners but the two that it shares are where they were, to a thousandth.
+            let original = |at: DVec3| {
+                mesh.positions.iter().any(|p| Vec3::from_array(*p).as_dvec3().distance(at) < 1e-3)
+            };
+            let vertices = fine.iter().flat_map(|piece| piece.mesh(|_| 0).vertices);
+            let (kept, moved): (Vec<_>, Vec<_>) =
+                vertices.map(|vertex| vertex.position).partition(|at| original(*at));
+            assert!(kept.len() >= 439 && !moved.is_empty(), "{} {moved:?}", kept.len());
+        }
+    }
+
+    #[test]
+    fn seams_close_between_pieces_on_different_grids() {
+        let pieces = slice(&with_a_long_one(20), &[DAffine3::IDENTITY], 50);
+        let long = pieces.iter().position(|piece| piece.step == 4.0).unwrap();
+        let shared: Vec<DVec3> = pieces[long]
+            .seams
+            .iter()
+            .map(|seam| pieces[long].position(&pieces[long].vertices[seam[0] as usize]))
+            .collect();
+        assert!(!shared.is_empty());
+        for at in shared {
+            let has = |piece: &PieceMesh| piece.vertices.iter().any(|v| piece.position(v) == at);
+            let others = pieces.iter().filter(|piece| piece.step < 1.0 && has(piece));
+            assert!(others.clone().count() > 0, "{at}");
+            // Who moved a corner that far says so.
+            assert!(others.clone().all(|piece| piece.error >= 4.0));
+        }
+        let is_fine = |piece: &&PieceMesh| piece.error < 1e-3;
+        assert!(pieces.iter().filter(is_fine).count() > pieces.len() / 2);
     }
 
     #[test]

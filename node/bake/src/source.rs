@@ -1,5 +1,6 @@
 //! A source scene: what every importer yields and every later stage of the bake reads.
 
+use glam::{DVec3, Vec3};
 pub use protocol::format::Wrap;
 
 /// Most triangles of a mesh that are handed on or read back at once. Always the same, so that no
@@ -17,6 +18,9 @@ pub struct SourceMesh {
     pub name: String,
     /// Vertex positions, in mesh units.
     pub positions: Vec<[f32; 3]>,
+    /// What single precision leaves of the positions, to be added to them: one a position, or none at
+    /// all where it leaves nothing.
+    pub remainders: Vec<[f32; 3]>,
     /// Unit normals, one a position. Where the file has none, vertices are duplicated and each
     /// triangle gets its face normal (glTF 2.0, section 3.7.2.1, "flat normals").
     pub normals: Vec<[f32; 3]>,
@@ -87,6 +91,26 @@ pub struct Texture {
 }
 
 impl SourceMesh {
+    /// Where a vertex stands, in mesh units: within 2^-48 of its distance from the origin.
+    pub fn position(&self, vertex: usize) -> DVec3 {
+        let position = Vec3::from_array(self.positions[vertex]).as_dvec3();
+        match self.remainders.get(vertex) {
+            Some(&remainder) => position + Vec3::from_array(remainder).as_dvec3(),
+            None => position,
+        }
+    }
+
+    /// Adds a position. It must be finite in single precision, too.
+    pub(crate) fn push_position(&mut self, position: DVec3) {
+        let rounded = position.as_vec3();
+        let remainder = (position - rounded.as_dvec3()).as_vec3();
+        if remainder != Vec3::ZERO || !self.remainders.is_empty() {
+            self.remainders.resize(self.positions.len(), [0.0; 3]);
+            self.remainders.push(remainder.to_array());
+        }
+        self.positions.push(rounded.to_array());
+    }
+
     /// Triangles the file holds for this mesh, the dropped ones counted.
     pub fn triangles(&self) -> u64 {
         self.indices.len() as u64 + self.dropped_degenerate
@@ -109,6 +133,9 @@ impl SourceMesh {
         }));
         used.iter().for_each(|&index| stamps[index] = u32::MAX);
         part.positions.extend(used.iter().map(|&index| self.positions[index]));
+        if !self.remainders.is_empty() {
+            part.remainders.extend(used.iter().map(|&index| self.remainders[index]));
+        }
         part.normals.extend(used.iter().map(|&index| self.normals[index]));
         part.colors.extend(used.iter().map(|&index| self.colors[index]));
         if !self.tex_coords.is_empty() {
@@ -131,6 +158,11 @@ impl SourceMesh {
             self.tex_coords.resize(first, [0.0; 2]);
             self.tex_coords.extend(&part.tex_coords);
             self.tex_coords.resize(first + part.positions.len(), [0.0; 2]);
+        }
+        if !self.remainders.is_empty() || !part.remainders.is_empty() {
+            self.remainders.resize(first, [0.0; 3]);
+            self.remainders.extend(&part.remainders);
+            self.remainders.resize(first + part.positions.len(), [0.0; 3]);
         }
         self.positions.extend(part.positions);
         self.normals.extend(part.normals);

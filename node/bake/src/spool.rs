@@ -1,5 +1,6 @@
 //! Where an importer's meshes and textures wait on disk, so that no scene need be in memory.
 
+use crate::bulk::{self, SAMPLES, Sample};
 use crate::bytes::{Decoder, Encoder, Torn};
 use crate::source::{
     Alpha, Imported, PART_TRIANGLES, Section, Sink, SourceMesh, SourceObject, Surface, Texture,
@@ -8,7 +9,7 @@ use crate::source::{
 use crate::work::{Appender, Records, Span, Work, WorkError};
 use geometry::bounds::Aabb;
 use geometry::weld::Repeats;
-use glam::{DAffine3, DMat3, DVec3, Vec3};
+use glam::{DAffine3, DMat3, DVec3};
 use std::io;
 use std::ops::Range;
 
@@ -19,6 +20,7 @@ const MESHES: &str = "meshes";
 pub(crate) struct MeshInfo {
     pub(crate) name: String,
     pub(crate) positions: u64,
+    pub(crate) remainders: u64,
     pub(crate) tex_coords: u64,
     pub(crate) triangles: u64,
     pub(crate) dropped_degenerate: u64,
@@ -33,19 +35,20 @@ pub(crate) struct MeshInfo {
 #[repr(C)]
 struct PartInfo {
     positions: u32,
+    remainders: u32,
     tex_coords: u32,
     triangles: u32,
     /// Its sections: those from this one of [`Scene::sections`] on.
     first_section: u32,
     sections: u32,
-    reserved: u32,
     span: Span,
+    samples: [Sample; SAMPLES],
 }
 
 impl MeshInfo {
-    /// Bytes of its positions, normals, colours, texture coordinates and triangles in memory.
+    /// Bytes of its positions, remainders, normals, colours, texture coordinates and triangles in memory.
     pub(crate) fn bytes(&self) -> u64 {
-        28 * self.positions + 8 * self.tex_coords + 12 * self.triangles
+        28 * self.positions + 12 * self.remainders + 8 * self.tex_coords + 12 * self.triangles
     }
 }
 
@@ -104,13 +107,14 @@ impl Spool {
     fn part(&mut self, part: &SourceMesh) -> io::Result<()> {
         let info = self.meshes.last_mut().expect("a mesh was begun");
         info.positions += part.positions.len() as u64;
+        info.remainders += part.remainders.len() as u64;
         info.tex_coords += part.tex_coords.len() as u64;
         info.triangles += part.indices.len() as u64;
         info.dropped_degenerate += part.dropped_degenerate;
         if info.positions.max(info.triangles) > u64::from(u32::MAX) {
             return Err(io::Error::other("a mesh exceeds 2^32 vertices; split it"));
         }
-        let points = part.positions.iter().map(|p| Vec3::from_array(*p).as_dvec3());
+        let points = (0..part.positions.len()).map(|vertex| part.position(vertex));
         info.bounds = info.bounds.union(Aabb::of(points));
         let first_section = self.sections.len() as u32;
         for &Section { end, surface } in &part.sections {
@@ -122,6 +126,7 @@ impl Spool {
         }
         let span = self.file.append(&[
             bytemuck::cast_slice(&part.positions),
+            bytemuck::cast_slice(&part.remainders),
             bytemuck::cast_slice(&part.normals),
             bytemuck::cast_slice(&part.colors),
             bytemuck::cast_slice(&part.tex_coords),
@@ -129,12 +134,13 @@ impl Spool {
         ])?;
         self.parts.push(PartInfo {
             positions: part.positions.len() as u32,
+            remainders: part.remainders.len() as u32,
             tex_coords: part.tex_coords.len() as u32,
             triangles: part.indices.len() as u32,
             first_section,
             sections: part.sections.len() as u32,
-            reserved: 0,
             span,
+            samples: bulk::samples(part),
         });
         Ok(())
     }
@@ -145,6 +151,7 @@ impl Sink for Spool {
         self.meshes.push(MeshInfo {
             name: std::mem::take(&mut mesh.name),
             positions: 0,
+            remainders: 0,
             tex_coords: 0,
             triangles: 0,
             dropped_degenerate: 0,
@@ -215,6 +222,14 @@ impl Scene {
         self.meshes[mesh].first_part as usize..end
     }
 
+    /// Samples of a mesh's triangles, each with how many it stands for.
+    pub(crate) fn samples_of(&self, mesh: usize) -> impl Iterator<Item = (Sample, f64)> {
+        let parts = self.parts[self.parts_of(mesh)].iter().filter(|part| part.triangles > 0);
+        parts.flat_map(|part| {
+            part.samples.map(|sample| (sample, f64::from(part.triangles) / SAMPLES as f64))
+        })
+    }
+
     /// Triangles of a part.
     pub(crate) fn part_triangles(&self, part: usize) -> u32 {
         self.parts[part].triangles
@@ -234,10 +249,12 @@ impl Scene {
         let infos = &self.parts[parts];
         let sum = |count: fn(&PartInfo) -> u32| infos.iter().map(|i| count(i) as usize).sum();
         let (positions, triangles): (usize, usize) = (sum(|i| i.positions), sum(|i| i.triangles));
+        let has_remainders = infos.iter().any(|info| info.remainders > 0);
         let is_textured = infos.iter().any(|info| info.tex_coords > 0);
         let mut mesh = SourceMesh {
             name: String::new(),
             positions: vec![[0.0; 3]; positions],
+            remainders: vec![[0.0; 3]; if has_remainders { positions } else { 0 }],
             normals: vec![[0.0; 3]; positions],
             colors: vec![[0; 4]; positions],
             tex_coords: vec![[0.0; 2]; if is_textured { positions } else { 0 }],
@@ -249,12 +266,14 @@ impl Scene {
         for info in infos {
             let end = vertex + info.positions as usize;
             let indices = &mut mesh.indices[triangle..][..info.triangles as usize];
-            // A part without coordinates leaves them zero.
+            // A part without remainders or coordinates leaves them zero.
+            let rest = mesh.remainders.get_mut(vertex..vertex + info.remainders as usize);
             let coords = mesh.tex_coords.get_mut(vertex..vertex + info.tex_coords as usize);
             from.read_into(
                 info.span,
                 &mut [
                     bytemuck::cast_slice_mut(&mut mesh.positions[vertex..end]),
+                    bytemuck::cast_slice_mut(rest.unwrap_or_default()),
                     bytemuck::cast_slice_mut(&mut mesh.normals[vertex..end]),
                     bytemuck::cast_slice_mut(&mut mesh.colors[vertex..end]),
                     bytemuck::cast_slice_mut(coords.unwrap_or_default()),
@@ -295,7 +314,8 @@ impl Scene {
         out.put(self.meshes.len() as u64);
         for mesh in &self.meshes {
             out.put_text(&mesh.name);
-            out.put([mesh.positions, mesh.tex_coords, mesh.triangles, mesh.dropped_degenerate]);
+            let MeshInfo { positions, remainders, tex_coords, triangles, .. } = *mesh;
+            out.put([positions, remainders, tex_coords, triangles, mesh.dropped_degenerate]);
             out.put([mesh.bounds.min.to_array(), mesh.bounds.max.to_array()]);
             out.put(mesh.first_part);
         }
@@ -337,11 +357,12 @@ impl Scene {
         let mut scene = Self::default();
         for _ in 0..from.take_count()? {
             let name = from.take_text()?;
-            let [positions, tex_coords, triangles, dropped_degenerate] = from.take()?;
+            let [positions, remainders, tex_coords, triangles, dropped_degenerate] = from.take()?;
             let [min, max]: [[f64; 3]; 2] = from.take()?;
             scene.meshes.push(MeshInfo {
                 name,
                 positions,
+                remainders,
                 tex_coords,
                 triangles,
                 dropped_degenerate,
@@ -396,6 +417,7 @@ mod tests {
         let mesh = SourceMesh {
             name: "roof".into(),
             positions: vec![[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]],
+            remainders: vec![[1e-9; 3], [0.0; 3], [-1e-9, 0.0, 0.0]],
             normals: vec![[0.0, 0.0, 1.0]; 3],
             colors: vec![[1, 2, 3, 4]; 3],
             tex_coords: vec![[0.5, 0.25]; 3],

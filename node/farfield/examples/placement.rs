@@ -83,7 +83,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let cells = cells_along(skeleton, &eyes, &args.division);
     let chosen = args.cells.min(cells.len());
     let size = PictureSize { width: args.side, height: args.side };
-    let near = near_plane(skeleton.diagonal()) as f32;
+    let near = near_plane(skeleton) as f32;
     let backend = Box::new(CpuBackend::new(size));
     let mut studio = Studio::new(&store, backend, args.side, near)?;
     println!("{} of {} cells, faces of {} pixels", chosen, cells.len(), args.side);

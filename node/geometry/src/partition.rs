@@ -15,6 +15,8 @@ const LEAST_SHARE: usize = 8;
 const PAYING_COST: f32 = 0.75;
 /// Margin on a box before its area is taken, as a share of the mesh: a line has a cost, too.
 const MARGIN: f32 = 1e-3;
+/// A triangle is out of proportion in a set whose box is more than so many times as long as its own.
+const PROPORTION: f32 = 256.0;
 /// Sets of so many boxes are worth a second thread.
 const PARALLEL: usize = 1 << 14;
 
@@ -38,6 +40,10 @@ impl Item {
 
     fn bounds(&self) -> Extent {
         Extent { min: Vec3::from_array(self.min), max: Vec3::from_array(self.max) }
+    }
+
+    fn is_small_in(&self, longest: f32) -> bool {
+        self.bounds().longest() * PROPORTION < longest
     }
 
     fn center(&self) -> Vec3 {
@@ -250,6 +256,9 @@ pub struct Limits {
     pub extent: f32,
     /// Fewest triangles of a piece that was split off for its extent.
     pub least_triangles: usize,
+    /// A piece with a longer side than this holds no triangle that is small beside it: what lies together
+    /// is divided from what does not, and from triangles that span it all. Such a piece may have few.
+    pub in_proportion: f32,
 }
 
 /// How the sets of one mesh are divided.
@@ -303,21 +312,8 @@ impl Splitter {
         let count = || Ok::<_, std::convert::Infallible>(Self::bins(items, tally));
         let Ok(step) = self.step(tally, count);
         let left = match step {
-            Step::Piece => {
-                let mut triangles: Vec<u32> = items.iter().map(|item| item.id).collect();
-                triangles.sort_unstable();
-                return vec![Piece { triangles, longest: tally.longest() }];
-            }
-            Step::Cut(plane) => {
-                let mut left = 0;
-                for i in 0..items.len() {
-                    if plane.is_left(&items[i]) {
-                        items.swap(left, i);
-                        left += 1;
-                    }
-                }
-                left
-            }
+            Step::Piece => return self.in_proportion(items),
+            Step::Cut(plane) => divided_at(items, |item| plane.is_left(item)),
             Step::Halve(axis) => {
                 let middle = items.len() / 2;
                 items.select_nth_unstable_by_key(middle, |item| item.rank(axis));
@@ -334,9 +330,51 @@ impl Splitter {
         pieces
     }
 
+    /// The pieces that a set makes which is small enough: one, but for strays.
+    fn in_proportion(&self, items: &mut [Item]) -> Vec<Piece> {
+        let tally = Tally::of(items);
+        let longest = tally.longest();
+        let small = match longest > self.limits.in_proportion {
+            true => divided_at(items, |item| item.is_small_in(longest)),
+            false => 0,
+        };
+        // All of them are small, so they lie apart: no triangle reaches far across the middle.
+        let left = match small == items.len() {
+            true => {
+                let extent = tally.centers.max - tally.centers.min;
+                let axis = (0..3).max_by(|&a, &b| extent[a].total_cmp(&extent[b])).unwrap_or(0);
+                let middle = tally.centers.min[axis] + extent[axis] * 0.5;
+                divided_at(items, |item| item.center()[axis] < middle)
+            }
+            false => small,
+        };
+        if left == 0 || left == items.len() {
+            let mut triangles: Vec<u32> = items.iter().map(|item| item.id).collect();
+            triangles.sort_unstable();
+            let Extent { min, max } = tally.bounds;
+            return vec![Piece { triangles, bounds: [min, max] }];
+        }
+        let (below, above) = items.split_at_mut(left);
+        let (mut pieces, mut others) = (self.in_proportion(below), self.in_proportion(above));
+        pieces.append(&mut others);
+        pieces
+    }
+
     fn bins(items: &[Item], tally: &Tally) -> Bins {
         in_chunks(items, |bins: &mut Bins, item| bins.add(item), Bins::new(tally), Bins::union)
     }
+}
+
+/// Brings the items that are meant to the front; how many there are.
+fn divided_at(items: &mut [Item], is_meant: impl Fn(&Item) -> bool) -> usize {
+    let mut meant = 0;
+    for i in 0..items.len() {
+        if is_meant(&items[i]) {
+            items.swap(meant, i);
+            meant += 1;
+        }
+    }
+    meant
 }
 
 /// Part of a mesh.
@@ -344,15 +382,20 @@ impl Splitter {
 pub struct Piece {
     /// Ids of its triangles, ascending.
     pub triangles: Vec<u32>,
-    /// The longest side of its box.
-    pub longest: f32,
+    /// Least and greatest corner of its box.
+    pub bounds: [Vec3; 2],
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    const LIMITS: Limits = Limits { triangles: 100, extent: f32::INFINITY, least_triangles: 10 };
+    const LIMITS: Limits = Limits {
+        triangles: 100,
+        extent: f32::INFINITY,
+        least_triangles: 10,
+        in_proportion: f32::INFINITY,
+    };
 
     fn dot(p: Vec3) -> Extent {
         Extent { min: p, max: p + 0.1 }
@@ -369,7 +412,8 @@ mod tests {
         let pieces = Splitter::new(*limits, &whole).divide(&mut items, &whole);
         for piece in &pieces {
             let all = piece.triangles.iter().map(|&id| boxes[id as usize]);
-            assert_eq!(piece.longest, all.fold(Extent::EMPTY, Extent::union).longest());
+            let Extent { min, max } = all.fold(Extent::EMPTY, Extent::union);
+            assert_eq!(piece.bounds, [min, max]);
         }
         pieces.into_iter().map(|piece| piece.triangles).collect()
     }
@@ -421,6 +465,28 @@ mod tests {
         assert!(check(&pipe, &limits).len() >= 3);
         let crossing = vec![Extent { min: Vec3::ZERO, max: Vec3::splat(90.0) }; 90];
         assert_eq!(check(&crossing, &limits).len(), 1);
+    }
+
+    #[test]
+    fn strays_and_what_spans_all_are_divided_from_the_rest() {
+        let house: Vec<_> = (0..12u32).map(|i| dot(Vec3::X * i as f32)).collect();
+        let stray = dot(Vec3::new(5e6, -3e6, 0.0));
+        let plane = Extent { min: Vec3::splat(-5e6), max: Vec3::splat(5e6) };
+        let limits = Limits { in_proportion: 100.0, ..LIMITS };
+        for strays in [vec![stray], vec![dot(Vec3::splat(-7e6)), stray], vec![plane, plane, stray]]
+        {
+            // In the middle of the list.
+            let boxes = [&house[..6], &strays, &house[6..]].concat();
+            check(&boxes, &limits);
+            let is_house = |id: &u32| *id < 6 || *id >= 6 + strays.len() as u32;
+            let pieces = partition(&boxes, &limits);
+            let houses: Vec<_> = pieces.iter().filter(|piece| piece.iter().any(is_house)).collect();
+            assert!(matches!(&houses[..], [one] if one.len() == 12 && one.iter().all(is_house)));
+        }
+        // What is not so long stays together, however small some of it is.
+        assert_eq!(check(&[&house[..], &[dot(Vec3::X * 90.0)]].concat(), &limits), [13]);
+        let heap = [&vec![stray; 3][..], &[dot(Vec3::splat(f32::INFINITY))]].concat();
+        check(&heap, &limits);
     }
 
     #[test]

@@ -36,7 +36,7 @@ pub(super) trait Vertices {
     /// How many there are.
     fn count(&self) -> usize;
     /// In mesh units; may be anything.
-    fn position(&self, vertex: usize) -> [f32; 3];
+    fn position(&self, vertex: usize) -> [f64; 3];
     /// Of any length; `None` where the faces are flat.
     fn normal(&self, vertex: usize) -> Option<[f32; 3]>;
     /// Linear RGBA; may be anything.
@@ -48,12 +48,12 @@ pub(super) trait Vertices {
 /// Why triangles cannot be taken.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Fault {
-    /// A position is not finite.
+    /// A position is not finite, or not so in single precision.
     Position {
         /// The vertex.
         vertex: usize,
         /// Its position.
-        value: [f32; 3],
+        value: [f64; 3],
     },
     /// The mesh would have more vertices or triangles than 32 bits count.
     TooLarge,
@@ -136,8 +136,8 @@ impl Builder {
             let mut points = [DVec3::ZERO; 3];
             for (point, &vertex) in points.iter_mut().zip(&triangle) {
                 let value = vertices.position(vertex);
-                *point = DVec3::from(value.map(f64::from));
-                if !point.is_finite() {
+                *point = DVec3::from(value);
+                if !point.as_vec3().is_finite() {
                     return Err(Fault::Position { vertex, value });
                 }
             }
@@ -189,6 +189,7 @@ impl Builder {
         }
         // Growth by doubling leaves up to half of a large mesh unused.
         mesh.positions.shrink_to_fit();
+        mesh.remainders.shrink_to_fit();
         mesh.normals.shrink_to_fit();
         mesh.colors.shrink_to_fit();
         mesh.tex_coords.shrink_to_fit();
@@ -284,7 +285,7 @@ impl<'a, V: Vertices> Places<'a, V> {
         let place = u32::try_from(mesh.positions.len()).ok().filter(|&place| place != NONE)?;
         self.latest[vertex] = place;
         self.earlier.push(latest);
-        mesh.positions.push(self.vertices.position(vertex));
+        mesh.push_position(DVec3::from(self.vertices.position(vertex)));
         mesh.colors.push(color);
         if self.textured || !self.builder.mesh.tex_coords.is_empty() {
             let coord = self.tex_coord(vertex);

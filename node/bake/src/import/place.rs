@@ -4,8 +4,8 @@ use glam::{DAffine3, DVec3};
 
 use crate::source::SourceObject;
 
-/// The origin that a mesh of these finite points is stored relative to, so that little is lost to
-/// `f32`: the middle of its box, or zero where the box is not small beside its distance from there.
+/// The origin that a mesh of these finite points is stored relative to, so that `f32` leaves little of them
+/// to be kept beside it: the middle of its box, or zero where the box is not small beside its distance from there.
 pub(super) fn origin(points: impl Iterator<Item = DVec3>) -> DVec3 {
     let nothing = (DVec3::INFINITY, DVec3::NEG_INFINITY);
     let (low, high) = points.fold(nothing, |(low, high), p| (low.min(p), high.max(p)));
@@ -16,8 +16,8 @@ pub(super) fn origin(points: impl Iterator<Item = DVec3>) -> DVec3 {
 }
 
 /// A point as a mesh with this origin stores it.
-pub(super) fn relative(point: DVec3, origin: DVec3) -> [f32; 3] {
-    (point - origin).as_vec3().to_array()
+pub(super) fn relative(point: DVec3, origin: DVec3) -> [f64; 3] {
+    (point - origin).to_array()
 }
 
 /// The object that shows such a mesh.
@@ -42,7 +42,8 @@ mod tests {
         let points = [DVec3::new(1e7, 5e6, 0.0), DVec3::new(1e7 + 0.001, 5e6 + 3.0, 1.0)];
         let middle = origin(points.into_iter());
         for point in points {
-            let back = DVec3::from(relative(point, middle).map(f64::from)) + middle;
+            let near = DVec3::from(relative(point, middle));
+            let back = near.as_vec3().as_dvec3() + middle;
             assert!((back - point).length() < 1e-6, "{back} {point}");
         }
     }

@@ -203,7 +203,7 @@ impl Vertices for Soup<'_> {
         self.points.len()
     }
 
-    fn position(&self, vertex: usize) -> [f32; 3] {
+    fn position(&self, vertex: usize) -> [f64; 3] {
         place::relative(self.points[vertex], self.origin)
     }
 

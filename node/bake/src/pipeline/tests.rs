@@ -4,6 +4,7 @@ mod degenerate;
 mod inputs;
 mod resume;
 mod seams;
+mod strays;
 mod whole;
 
 use super::*;

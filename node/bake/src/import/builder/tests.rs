@@ -7,8 +7,8 @@ impl Vertices for Soup {
     fn count(&self) -> usize {
         self.0.len()
     }
-    fn position(&self, vertex: usize) -> [f32; 3] {
-        self.0[vertex]
+    fn position(&self, vertex: usize) -> [f64; 3] {
+        self.0[vertex].map(f64::from)
     }
     fn normal(&self, _: usize) -> Option<[f32; 3]> {
         None

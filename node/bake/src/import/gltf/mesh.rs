@@ -301,8 +301,8 @@ impl Vertices for Loaded {
         self.positions.len()
     }
 
-    fn position(&self, vertex: usize) -> [f32; 3] {
-        self.positions.vector(self.first + vertex)
+    fn position(&self, vertex: usize) -> [f64; 3] {
+        self.positions.vector(self.first + vertex).map(f64::from)
     }
 
     fn normal(&self, vertex: usize) -> Option<[f32; 3]> {

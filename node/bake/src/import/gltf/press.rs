@@ -27,13 +27,11 @@ pub(super) fn press(draft: &Draft, matrix: DMat3) -> Option<Draft> {
     let mut start = 0;
     for section in &mesh.sections {
         for triangle in &mesh.indices[start..section.end as usize] {
-            let points = triangle.map(|vertex| {
-                (matrix * DVec3::from(mesh.positions[vertex as usize].map(f64::from))).as_vec3()
-            });
-            if points.iter().any(|point| !point.is_finite()) {
+            let points = triangle.map(|vertex| matrix * mesh.position(vertex as usize));
+            if points.iter().any(|point| !point.as_vec3().is_finite()) {
                 return None;
             }
-            let [a, b, c] = points.map(|point| point.as_dvec3());
+            let [a, b, c] = points;
             let area = (b - a).cross(c - a);
             if area == DVec3::ZERO {
                 pressed.dropped_degenerate += 1;
@@ -41,7 +39,7 @@ pub(super) fn press(draft: &Draft, matrix: DMat3) -> Option<Draft> {
             }
             let first = u32::try_from(pressed.positions.len()).ok()?;
             pressed.indices.push([first, first.checked_add(1)?, first.checked_add(2)?]);
-            pressed.positions.extend(points.map(|point| point.to_array()));
+            points.into_iter().for_each(|point| pressed.push_position(point));
             pressed.normals.extend([unit(area); 3]);
             pressed.colors.extend(triangle.map(|vertex| mesh.colors[vertex as usize]));
             if !mesh.tex_coords.is_empty() {

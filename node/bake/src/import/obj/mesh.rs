@@ -118,7 +118,7 @@ impl Vertices for View<'_> {
         self.corners.len()
     }
 
-    fn position(&self, vertex: usize) -> [f32; 3] {
+    fn position(&self, vertex: usize) -> [f64; 3] {
         place::relative(self.pool.points[self.corners[vertex].point as usize], self.origin)
     }
 

@@ -86,7 +86,8 @@ fn read(
     let name = file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
     let mut builder = Builder::new(name.clone());
     let triangles = std::mem::take(&mut cloud.triangles);
-    cloud.origin = place::origin(cloud.points.iter().copied());
+    let used = triangles.as_flattened().iter().map(|&index| cloud.points[index as usize]);
+    cloud.origin = place::origin(used);
     let paint =
         Paint { surface: Surface { alpha: Alpha::Blend, ..Surface::PLAIN }, ..Paint::PLAIN };
     let corners = triangles.iter().map(|t| t.map(|index| index as usize));
@@ -247,7 +248,7 @@ impl Vertices for Cloud {
         self.points.len()
     }
 
-    fn position(&self, vertex: usize) -> [f32; 3] {
+    fn position(&self, vertex: usize) -> [f64; 3] {
         place::relative(self.points[vertex], self.origin)
     }
 
