@@ -32,7 +32,6 @@ pub(crate) fn run(
     let front = stage.front(camera);
     let (tests, boxes) = split(stage, camera, &front.entries);
     let mut counts = CullCounts {
-        front: front.total,
         in_frustum: front.entries.len() as u32,
         queries: boxes.len() as u32,
         source_triangles_in_frustum: front.source_triangles_in_frustum,
