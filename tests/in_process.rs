@@ -11,7 +11,9 @@ use fixture::{street, write};
 use protocol::camera::Camera;
 use protocol::message::FailureKind;
 use protocol::schedule::{Phase, Role};
-use protocol::settings::{BackendChoice, Cull, PictureSize, Residency, RunSettings, Schedule};
+use protocol::settings::{
+    AuditAgainst, BackendChoice, Cull, PictureSize, Residency, RunSettings, Schedule,
+};
 use protocol::sun::Sun;
 use protocol::telemetry::WorkReport;
 use std::path::Path;
@@ -53,6 +55,7 @@ fn replay(
         backend: BackendChoice::Cpu,
         frames,
         audit_every: 1,
+        audit_against: AuditAgainst::Front,
         items_every: 2,
         memory: None,
         residency: Residency::Exact,

@@ -15,7 +15,23 @@ const KINDS: [&str; 3] = ["walk", "orbit", "zoom"];
 
 /// Replays with every frame audited.
 fn audited(scene: &Scene, backend: &str, path: &Path, size: &str, cull: &str) -> Run {
-    let name = format!("{backend}-{}-{size}-{cull}", path.file_stem().unwrap().to_str().unwrap());
+    audited_as(scene, backend, path, size, cull, &[])
+}
+
+/// The same with more options.
+fn audited_as(
+    scene: &Scene,
+    backend: &str,
+    path: &Path,
+    size: &str,
+    cull: &str,
+    more: &[&str],
+) -> Run {
+    let name = format!(
+        "{backend}-{}-{size}-{cull}{}",
+        path.file_stem().unwrap().to_str().unwrap(),
+        more.concat()
+    );
     let options = [
         "--backend",
         backend,
@@ -28,7 +44,7 @@ fn audited(scene: &Scene, backend: &str, path: &Path, size: &str, cull: &str) ->
         "--audit",
         "every=1",
     ];
-    let run = scene.replay(&name, &options);
+    let run = scene.replay(&name, &[&options[..], more].concat());
     run.assert_audited(&format!("{} {name}", scene.occ.display()));
     run
 }
@@ -59,6 +75,21 @@ fn generated_scenes_keep_every_pixel() {
             }
             audited(&scene, backend, &jumps(&scene, 4), "97x161", "boxes");
             assert!(culled_something, "{kind}: an audit of nothing culled says nothing");
+        }
+    }
+}
+
+#[test]
+fn the_whole_scene_without_frustum_and_front_shows_no_more() {
+    let scene = Scene::synth("plant", 200_000);
+    let path = jumps(&scene, 3);
+    for backend in backends() {
+        for (lod, memory) in [("0", "1GiB"), ("1", "1GiB"), ("0", "3MiB")] {
+            let more = ["--audit-against", "scene", "--lod", lod, "--memory", memory];
+            let run = audited_as(&scene, backend, &path, "161x97", "queries", &more);
+            let [front, held] =
+                ["/culling/front", "/culling/in_frustum"].map(|key| run.number(key));
+            assert!(held < front, "all is in the frustum: a weak test");
         }
     }
 }

@@ -112,6 +112,31 @@ fn with_a_deadline_nothing_is_waited_for_and_the_error_is_told() {
 }
 
 #[test]
+fn an_audit_beside_a_deadline_takes_no_stand_in_for_a_lost_pixel() {
+    let scene = Scene::synth("plant", 200_000);
+    let cap = (geometry_bytes(&scene) / 10).max(3 << 20).to_string();
+    for backend in backends() {
+        for against in ["front", "scene"] {
+            let mut options = vec!["--backend", backend, "--residency", "deadline"];
+            options.extend(["--memory", &cap, "--prefetch", "off"]);
+            options.extend(["--audit", "every=1", "--audit-against", against]);
+            let name = format!("{backend}-{against}-audited");
+            let run = replay(&scene, &name, &scene.path("walk", 24), &options);
+            run.assert_audited(&name);
+            assert!(run.number("/stand_ins/replaced") > 0.0, "nothing was ever late: a weak test");
+            let unknown = run.column("unknown_pixels");
+            let frames = unknown.iter().zip(run.column("replaced"));
+            for (unknown, replaced) in frames {
+                assert!(unknown == "0" || replaced != "0");
+            }
+            // Something is compared even where something stands in.
+            let all = 161.0 * 97.0 * run.rows.len() as f64;
+            assert!(run.number("/audit/unknown_pixels") < 0.9 * all, "{}", run.summary["audit"]);
+        }
+    }
+}
+
+#[test]
 fn too_little_memory_is_refused_with_what_is_needed() {
     let scene = Scene::synth("plant", 20_000);
     let options = ["replay", text(&scene.occ), "--frames", "2", "--memory", "1KiB"];

@@ -4,7 +4,7 @@
 //! Pictures of which a random half of all levels is missing. The measured error of one is the greatest
 //! distance from what a pixel shows of a stand-in to the original surface, by the finest triangles
 //! themselves, or from what a pixel of the whole picture shows of a replaced hlod to what stands for
-//! it; in pixels at the distance of either. All scenes, in release:
+//! it; in pixels of the picture, as many as a point there can be seen to move by so much. All scenes, in release:
 //! `cargo test --release --test stand_in_error -- --ignored --nocapture`.
 
 #![allow(clippy::unwrap_used, reason = "a test stops where something is missing")]
@@ -87,8 +87,28 @@ fn draw(store: &Store, camera: &Camera, entries: &[FrontEntry]) -> (Vec<u32>, Ve
     }
 }
 
-/// What a pixel shows, scene units, and how far it is from the eye.
-fn point(camera: &Camera, pixel: usize, depth: f32) -> ([f64; 3], f64) {
+/// What a pixel shows: a point, scene units; how far it is from the eye; and how far its ray is turned
+/// from the axis.
+struct Shown {
+    at: [f64; 3],
+    distance: f64,
+    angle: f64,
+}
+
+impl Shown {
+    /// Pixels between this point and one so far away from it, scene units, where that is seen farthest from
+    /// the picture's middle.
+    fn moved_px(&self, camera: &Camera, away: f64) -> f64 {
+        let turned = self.angle + (away / self.distance).min(1.0).asin();
+        if turned < std::f64::consts::FRAC_PI_2 {
+            (turned.tan() - self.angle.tan()) / pixel_at_unit_depth(camera, SIZE)
+        } else {
+            f64::INFINITY
+        }
+    }
+}
+
+fn point(camera: &Camera, pixel: usize, depth: f32) -> Shown {
     let (column, row) = (pixel % SIZE.width as usize, pixel / SIZE.width as usize);
     let side = pixel_at_unit_depth(camera, SIZE);
     let x = (column as f64 + 0.5 - f64::from(SIZE.width) / 2.0) * side;
@@ -99,7 +119,8 @@ fn point(camera: &Camera, pixel: usize, depth: f32) -> ([f64; 3], f64) {
         let ray = right[k] * x + f64::from(camera.up[k]) * y + f64::from(camera.forward[k]);
         camera.eye[k] + ray * view_depth
     });
-    (at, view_depth * (1.0 + x * x + y * y).sqrt())
+    let off_axis = x.hypot(y);
+    Shown { at, distance: view_depth * off_axis.hypot(1.0), angle: off_axis.atan() }
 }
 
 fn frame(store: &Store, original: &Original<'_>, camera: &Camera, seed: u64) -> Option<Frame> {
@@ -114,9 +135,9 @@ fn frame(store: &Store, original: &Original<'_>, camera: &Camera, seed: u64) -> 
     let diagonal = f64::from(SIZE.width).hypot(f64::from(SIZE.height));
     let mut measured = 0.0f64;
     let mut pixels = 0;
-    let mut measure = |away: f64, distance: f64| {
-        let off = (away / distance / pixel_at_unit_depth(camera, SIZE)).min(diagonal);
-        let spare = ROUNDING / pixel_at_unit_depth(camera, SIZE);
+    let mut measure = |point: &Shown, away: f64| {
+        let off = point.moved_px(camera, away).min(diagonal);
+        let spare = ROUNDING / (pixel_at_unit_depth(camera, SIZE) * point.angle.cos().powi(2));
         assert!(off <= logged + spare, "a pixel strays by {off}, the log says {logged}");
         measured = measured.max(off);
         pixels += 1;
@@ -125,8 +146,8 @@ fn frame(store: &Store, original: &Original<'_>, camera: &Camera, seed: u64) -> 
     for pixel in (0..items.len()).step_by(STEP) {
         let hlod = HlodId(items[pixel]);
         if shown.replaced.iter().any(|(_, by)| by.hlod == hlod) {
-            let (at, distance) = point(camera, pixel, depth[pixel]);
-            measure(original.distance(hlod, at).unwrap(), distance);
+            let point = point(camera, pixel, depth[pixel]);
+            measure(&point, original.distance(hlod, point.at).unwrap());
         }
     }
     // And from what should be to what is shown.
@@ -135,11 +156,11 @@ fn frame(store: &Store, original: &Original<'_>, camera: &Camera, seed: u64) -> 
     for pixel in (0..items.len()).step_by(STEP) {
         let hlod = HlodId(items[pixel]);
         if let Some((_, by)) = shown.replaced.iter().find(|(replaced, _)| *replaced == hlod) {
-            let (at, distance) = point(camera, pixel, depth[pixel]);
+            let point = point(camera, pixel, depth[pixel]);
             let surface = surfaces.entry(by.level).or_insert_with(|| {
                 LevelSurface::new(store, &skeleton.levels[by.level as usize]).unwrap()
             });
-            measure(surface.distance(at), distance);
+            measure(&point, surface.distance(point.at));
         }
     }
     (pixels > 20).then_some(Frame { logged, measured })

@@ -1,6 +1,8 @@
 //! Run settings from text: rig files, and the spellings that flags and rig files share.
 
-use protocol::settings::{BackendChoice, Cull, Far, PictureSize, Residency, Schedule};
+use protocol::settings::{
+    AuditAgainst, BackendChoice, Cull, Far, PictureSize, Residency, Schedule,
+};
 use protocol::sun::Sun;
 use serde::{Deserialize, Deserializer};
 use std::net::SocketAddr;
@@ -57,6 +59,8 @@ pub struct Rig {
     /// `every=N` or `off`.
     #[serde(default, deserialize_with = "from_text")]
     pub audit: Option<Every>,
+    /// What it is held against.
+    pub audit_against: Option<AuditAgainst>,
     /// Whether pictures are written.
     pub pictures: Option<Pictures>,
     /// Most memory for geometry and textures, for each process.
@@ -110,7 +114,7 @@ impl FromStr for Processes {
     }
 }
 
-/// Largest error in pixels; 0 for the original geometry.
+/// Pixels by which a point may be seen away from its place; 0 for the original geometry.
 #[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
 #[serde(try_from = "f64")]
 pub struct PixelError(pub f64);

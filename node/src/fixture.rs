@@ -35,17 +35,14 @@ pub(crate) fn street() -> Vec<Piece> {
     pieces
 }
 
-/// Writes the scene of `pieces`; each is a leaf whose item id is its place plus 1. `textured` boxes are
-/// opaque by half, and else have holes or blend.
-pub(crate) fn write(path: &Path, pieces: &[Piece], textured: bool) -> Finished {
-    let mut writer = SceneWriter::create(path).unwrap();
+/// The cube of side 1 that all pieces are.
+fn cube() -> (Vec<Vertex>, Vec<u16>) {
     let corner = |bits: u32| [bits & 1, bits >> 1 & 1, bits >> 2];
     let vertex = |bits| Vertex {
         position: Vertex::pack_position(corner(bits)),
         normal: Vertex::pack_normal(corner(bits).map(|c| c as f32 - 0.5)),
         color: 0xff00_0000 | (0x20_3040 * (bits + 1)),
     };
-    let vertices: Vec<Vertex> = (0..8).map(vertex).collect();
     // Two triangles for each face: corner bits that differ along two axes, the third fixed.
     let mut indices = Vec::new();
     for (fixed, u, v) in [(1, 2, 4), (2, 1, 4), (4, 1, 2)] {
@@ -53,6 +50,39 @@ pub(crate) fn write(path: &Path, pieces: &[Piece], textured: bool) -> Finished {
             indices.extend([base, base | u, base | v, base | u, base | u | v, base | v]);
         }
     }
+    ((0..8).map(vertex).collect(), indices)
+}
+
+/// Makes a cube of side 1 a solid.
+fn placement([min, max]: [[f64; 3]; 2]) -> Transform {
+    let mut linear = [[0.0; 3]; 3];
+    for k in 0..3 {
+        linear[k][k] = max[k] - min[k];
+    }
+    Transform { linear, translation: min }
+}
+
+/// No edge of a piece is longer than the diagonal of its solid.
+fn longest_edge(piece: &Piece) -> f32 {
+    let [min, max] = piece.solid;
+    let squared: f64 = (0..3).map(|k| (max[k] - min[k]).powi(2)).sum();
+    (squared.sqrt() as f32).next_up()
+}
+
+/// The box of bounds.
+fn hull(pieces: &[Piece]) -> [[f64; 3]; 2] {
+    let extreme = |pick: fn(f64, f64) -> f64, corner: usize| {
+        let corners = pieces.iter().map(|piece| piece.bounds[corner]);
+        corners.reduce(|a, b| std::array::from_fn(|k| pick(a[k], b[k]))).unwrap()
+    };
+    [extreme(f64::min, 0), extreme(f64::max, 1)]
+}
+
+/// Writes the scene of `pieces`; each is a leaf whose item id is its place plus 1. `textured` boxes are
+/// opaque by half, and else have holes or blend.
+pub(crate) fn write(path: &Path, pieces: &[Piece], textured: bool) -> Finished {
+    let mut writer = SceneWriter::create(path).unwrap();
+    let (vertices, indices) = cube();
     let triangles = (indices.len() / 3) as u32;
     let with_texture = |plain: &Vertex| TexturedVertex {
         plain: *plain,
@@ -72,13 +102,10 @@ pub(crate) fn write(path: &Path, pieces: &[Piece], textured: bool) -> Finished {
         writer.add_texture(2, [Wrap::Repeat; 2], &pixels).unwrap();
     }
     let all = triangles * pieces.len() as u32;
-    let extreme = |pick: fn(f64, f64) -> f64, corner: usize| {
-        let corners = pieces.iter().map(|piece| piece.bounds[corner]);
-        corners.reduce(|a, b| std::array::from_fn(|k| pick(a[k], b[k]))).unwrap()
-    };
+    let [min, max] = hull(pieces);
     let mut hlods = vec![Hlod {
-        min: extreme(f64::min, 0),
-        max: extreme(f64::max, 1),
+        min,
+        max,
         parent: NONE,
         first_child: 1,
         child_count: pieces.len() as u32,
@@ -89,19 +116,14 @@ pub(crate) fn write(path: &Path, pieces: &[Piece], textured: bool) -> Finished {
     }];
     let (mut levels, mut parts, mut transforms) = (Vec::new(), Vec::new(), Vec::new());
     for (place, piece) in (0..).zip(pieces) {
-        let [min, max] = piece.solid;
-        let mut linear = [[0.0; 3]; 3];
-        for k in 0..3 {
-            linear[k][k] = max[k] - min[k];
-        }
-        transforms.push(Transform { linear, translation: min });
-        let extent = [0, 1, 2].map(|k| max[k] - min[k]);
+        transforms.push(placement(piece.solid));
+        let longest_edge = longest_edge(piece);
         levels.push(Level {
             error: 0.0,
             first_part: place,
             part_count: 1,
             triangles,
-            longest_edge: extent.map(|side| side * side).iter().sum::<f64>().sqrt() as f32 * 1.001,
+            longest_edge,
         });
         parts.push(Part { blob, transform: place });
         hlods.push(Hlod {
@@ -121,6 +143,71 @@ pub(crate) fn write(path: &Path, pieces: &[Piece], textured: bool) -> Finished {
         source_triangles: u64::from(all),
         unique_triangles: u64::from(triangles),
         objects: pieces.len() as u32,
+        seed: 1,
+        ..SceneInfo::default()
+    };
+    writer.finish(Tables { info, hlods, levels, parts, transforms, ..Tables::default() }).unwrap()
+}
+
+/// Writes the scene of `alone`, leaves 2 and on, and `together`, the leaves behind them below hlod 1, whose
+/// one level is `coarse` and errs by `error`. Every box is a blob of its own, in the order of the hlods.
+pub(crate) fn write_with_stand_in(
+    path: &Path,
+    alone: &[Piece],
+    together: &[Piece],
+    coarse: Piece,
+    error: f64,
+) -> Finished {
+    let mut writer = SceneWriter::create(path).unwrap();
+    let (vertices, indices) = cube();
+    let triangles = (indices.len() / 3) as u32;
+    let classes = Class::OpaqueDouble.all(triangles);
+    let all = [alone, together].concat();
+    let (first, end) = (2 + alone.len() as u32, 2 + all.len() as u32);
+    let source = |pieces: &[Piece]| u64::from(triangles) * pieces.len() as u64;
+
+    let hlod = |[min, max]: [[f64; 3]; 2], parent, children: std::ops::Range<u32>| Hlod {
+        min,
+        max,
+        parent,
+        first_child: children.start,
+        child_count: children.len() as u32,
+        first_level: 0,
+        level_count: 0,
+        object: NONE,
+        source_triangles: 0,
+    };
+    let group = hull(&[together, &[coarse]].concat());
+    let hull_of_all = hull(&[&all[..], &[coarse]].concat());
+    let mut hlods = vec![
+        Hlod { source_triangles: source(&all), ..hlod(hull_of_all, NONE, 1..first) },
+        Hlod { source_triangles: source(together), level_count: 1, ..hlod(group, 0, first..end) },
+    ];
+    let (mut levels, mut parts, mut transforms) = (Vec::new(), Vec::new(), Vec::new());
+    for (place, piece) in (0..).zip([&[coarse], &all[..]].concat()) {
+        let vertices = Vertices::Plain(&vertices);
+        let blob = writer.add_blob([0.0; 3], 1.0, vertices, &indices, classes).unwrap().0;
+        let error = if place == 0 { error } else { 0.0 };
+        let longest_edge = longest_edge(piece);
+        levels.push(Level { error, first_part: place, part_count: 1, triangles, longest_edge });
+        parts.push(Part { blob, transform: place });
+        transforms.push(placement(piece.solid));
+        if place > 0 {
+            let parent = u32::from(place as usize > alone.len());
+            hlods.push(Hlod {
+                first_level: place,
+                level_count: 1,
+                object: place - 1,
+                source_triangles: u64::from(triangles),
+                ..hlod(piece.bounds, parent, 0..0)
+            });
+        }
+    }
+    let info = SceneInfo {
+        up: [0.0, 0.0, 1.0],
+        source_triangles: source(&all),
+        unique_triangles: source(&all),
+        objects: all.len() as u32,
         seed: 1,
         ..SceneInfo::default()
     };

@@ -93,6 +93,12 @@ impl Loader {
         }
     }
 
+    /// Which blobs are held, and when each was used last.
+    #[cfg(test)]
+    pub(crate) fn residency(&self) -> &Residency {
+        &self.residency
+    }
+
     /// What was counted since the last call.
     pub(crate) fn take_counts(&mut self) -> IoCounts {
         std::mem::take(&mut self.counts)

@@ -179,11 +179,12 @@ fn serve(
                 let times = times(stage.take_io());
                 let measuring = clock.now();
                 let counted = audited || is_nth(frame, settings.items_every);
-                let Measured { audit, hlods_with_pixels, stand_in_error_px } =
+                let Measured { audit, hlods_with_pixels, front, stand_in_error_px } =
                     audit::measure(&mut stage, &camera, &drawn, audited, counted)?;
                 let mut counts = drawn.counts;
                 let rgba = drawn.into_rgba();
                 (counts.audit, counts.hlods_with_pixels) = (audit, hlods_with_pixels);
+                counts.front = front;
                 counts.missing.error_px = stand_in_error_px;
                 counts.picture_hash = Some(role::picture_hash(&rgba));
                 if let Some(pictures) = &mut pictures {

@@ -35,6 +35,7 @@ fn examples() -> Vec<Message> {
         backend: BackendChoice::Cpu,
         frames: 120,
         audit_every: 1,
+        audit_against: crate::settings::AuditAgainst::Scene,
         items_every: 10,
         memory: Some(64 << 20),
         residency: Residency::Deadline,
@@ -56,11 +57,12 @@ fn examples() -> Vec<Message> {
         finished: 3,
         visible_sent: Some(4),
         visible_received: Some(5),
-        cull: Some(CullCounts { front: 9, ..CullCounts::default() }),
+        cull: Some(CullCounts { queries: 9, ..CullCounts::default() }),
         draw: Some(DrawCounts {
             hlods_with_pixels: Some(1),
             picture_hash: Some(2),
-            audit: Some(Audit { differing_pixels: 0 }),
+            front: Some(3),
+            audit: Some(Audit { differing_pixels: 0, unknown_pixels: 1, front_faults: 2 }),
             ..DrawCounts::default()
         }),
     };

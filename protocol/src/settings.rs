@@ -67,6 +67,18 @@ pub enum Far {
 /// Cubes drawn of a cell where nothing else is said.
 pub const FAR_CUBES: u32 = 8;
 
+/// What an audit holds a picture against.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum AuditAgainst {
+    /// What the frustum holds of the front: finds what occlusion culling lost.
+    #[default]
+    Front,
+    /// The whole cut, in the frustum or not, and its levels against `lod_px`: finds a wrong front or frustum,
+    /// too.
+    Scene,
+}
+
 /// Picture size in pixels, each side 1..=16384.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct PictureSize {
@@ -85,7 +97,8 @@ pub struct RunSettings {
     pub scene_digest: [u8; 32],
     /// Picture size.
     pub size: PictureSize,
-    /// Largest error of a drawn level in pixels; 0 draws the original geometry.
+    /// Pixels by which a point may be seen away from its place, anywhere in the picture; 0 draws the original
+    /// geometry.
     pub lod_px: f64,
     /// What lights the scene.
     pub sun: Sun,
@@ -99,6 +112,8 @@ pub struct RunSettings {
     pub frames: u32,
     /// Audit every n-th frame; 0 never.
     pub audit_every: u32,
+    /// What it is held against.
+    pub audit_against: AuditAgainst,
     /// Count hlods with a visible pixel (item buffer) every n-th frame; 0 never.
     pub items_every: u32,
     /// Most bytes a node takes for geometry and textures, buffers on their way included; none leaves

@@ -16,19 +16,22 @@ pub struct BackendInfo {
     pub driver: String,
 }
 
-/// Result of drawing one frame's front with and without occlusion culling on one device.
+/// Result of drawing one frame with and without culling on one device. Where pictures are mixed, pixels are
+/// summed over them.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct Audit {
-    /// Pixels whose colour or depth bits differ; where pictures are mixed, the sum over them.
+    /// Pixels whose colour or depth bits differ.
     pub differing_pixels: u64,
+    /// Pixels that say nothing: something was not there that may have hidden what differs.
+    pub unknown_pixels: u64,
+    /// Hlods that are not on the front as they should be, where that was asked.
+    pub front_faults: u32,
 }
 
 /// Counts of HC(i).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct CullCounts {
-    /// Hlods on the front F_i.
-    pub front: u32,
-    /// Of those, in the frustum.
+    /// Hlods on the front F_i and in the frustum.
     pub in_frustum: u32,
     /// Boxes tested against the depth.
     pub queries: u32,
@@ -63,6 +66,8 @@ pub struct DrawCounts {
     pub far_triangles: u64,
     /// Hlods with a visible pixel, on frames where the item buffer was drawn.
     pub hlods_with_pixels: Option<u32>,
+    /// Hlods on the front, in the frustum or not, on the same frames.
+    pub front: Option<u32>,
     /// First 8 bytes of the BLAKE3 of the picture's RGBA bytes (RVG alone).
     pub picture_hash: Option<u64>,
     /// On audited frames (RVG alone).

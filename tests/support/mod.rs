@@ -177,7 +177,7 @@ impl Run {
             .unwrap_or_else(|| panic!("{pointer} is no number"))
     }
 
-    /// Every frame was audited and no pixel differs.
+    /// Every frame was audited, no pixel differs and no front is wrong.
     pub(crate) fn assert_audited(&self, what: &str) {
         assert_eq!(self.number("/audit/frames"), self.number("/frames"), "{what}");
         assert_eq!(
@@ -186,6 +186,7 @@ impl Run {
             "{what}: {}",
             self.summary["audit"]
         );
+        assert_eq!(self.number("/audit/front_faults"), 0.0, "{what}");
     }
 }
 

@@ -51,8 +51,8 @@ pub struct FrameRow {
     pub entropy_bound: f64,
     /// Ids that changed.
     pub changed: u32,
-    /// Hlods on the front.
-    pub front: u32,
+    /// Hlods on the front, in the frustum or not; counted where the item buffer is drawn.
+    pub front: Option<u32>,
     /// Hlods on the front and in the frustum.
     pub in_frustum: u32,
     /// Boxes tested.
@@ -79,6 +79,10 @@ pub struct FrameRow {
     pub triangles_occluders: u64,
     /// Pixels in which the audit's two pictures differ.
     pub differing_pixels: Option<u64>,
+    /// Pixels of which the audit says nothing, for something was not there.
+    pub unknown_pixels: Option<u64>,
+    /// Hlods that the audit found wrong on the front.
+    pub front_faults: Option<u32>,
     /// Hlods of the picture that something coarser stood for.
     pub replaced: u32,
     /// Hlods of the picture that nothing stood for.
@@ -247,7 +251,7 @@ fn fill_counts(
         + changed * PAPER_HEADER / PAPER_IDS_A_PACKET
         + 3.0 * (PAPER_CAMERA + PAPER_HEADER);
     row.entropy_bound = entropy_bound_bits(hlods, u64::from(cull.changed)) / 8.0;
-    row.front = cull.front;
+    row.front = draw.front;
     row.in_frustum = cull.in_frustum;
     row.queries = cull.queries;
     (row.mesh_queries, row.triangles_second_look) = (cull.mesh_queries, cull.triangles);
@@ -260,6 +264,8 @@ fn fill_counts(
     (row.replaced, row.holes, row.stand_in_error_px) = (replaced, holes, error_px);
     row.triangles_occluders = or.map_or(0, |or| or.triangles);
     row.differing_pixels = draw.audit.map(|audit| audit.differing_pixels);
+    row.unknown_pixels = draw.audit.map(|audit| audit.unknown_pixels);
+    row.front_faults = draw.audit.map(|audit| audit.front_faults);
     row.picture_hash = draw.picture_hash.map_or(String::new(), |hash| format!("{hash:016x}"));
 }
 

@@ -70,9 +70,10 @@ pub struct Bandwidth {
 /// Mean counts a frame.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Culling {
-    /// Hlods on the front.
-    pub front: f64,
-    /// Of those, in the frustum.
+    /// Hlods on the front, in the frustum or not, over the frames with an item buffer; null where there was
+    /// none.
+    pub front: Option<f64>,
+    /// Hlods on the front and in the frustum.
     pub in_frustum: f64,
     /// Boxes tested.
     pub queries: f64,
@@ -107,6 +108,11 @@ pub struct Audit {
     pub differing_frames: usize,
     /// Pixels whose colour or depth bits differ.
     pub differing_pixels: u64,
+    /// Pixels of the audited pictures that say nothing: something was not there that may have hidden what
+    /// differs.
+    pub unknown_pixels: u64,
+    /// Hlods that are not on a front as they should be; counted against the scene alone.
+    pub front_faults: u64,
 }
 
 /// What of the pictures was not there in time, or at all.
@@ -303,10 +309,11 @@ fn culling(rows: &[FrameRow]) -> Culling {
             Some(f64::from(row.visible) / f64::from(row.with_pixels.filter(|&seen| seen > 0)?))
         })
         .collect();
+    let fronts: Vec<f64> = rows.iter().filter_map(|row| row.front.map(f64::from)).collect();
     let average =
         |figure: fn(&FrameRow) -> u32| mean(rows.iter().map(|row| f64::from(figure(row))));
     Culling {
-        front: average(|row| row.front),
+        front: (!fronts.is_empty()).then(|| mean(fronts.iter().copied())),
         in_frustum: average(|row| row.in_frustum),
         queries: average(|row| row.queries),
         visible: average(|row| row.visible),
@@ -321,6 +328,8 @@ fn audit(rows: &[FrameRow]) -> Audit {
         frames: audited.len(),
         differing_frames: audited.iter().filter(|&&pixels| pixels > 0).count(),
         differing_pixels: audited.iter().sum(),
+        unknown_pixels: rows.iter().filter_map(|row| row.unknown_pixels).sum(),
+        front_faults: rows.iter().filter_map(|row| row.front_faults).map(u64::from).sum(),
     }
 }
 

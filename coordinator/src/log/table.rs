@@ -1,7 +1,7 @@
 //! The closing table a person reads.
 
 use super::stats::Stats;
-use super::summary::Summary;
+use super::summary::{Audit, Summary};
 use std::fmt::Write;
 
 /// The figures of a run as aligned text.
@@ -57,11 +57,12 @@ pub fn table(summary: &Summary) -> String {
     stats("source in frustum", &s.triangles.source_in_frustum, 0);
     let c = &s.culling;
     let efficiency = c.efficiency.map_or("not measured".to_owned(), |e| format!("{e:.2}"));
+    let front = c.front.map_or(String::new(), |front| format!("front {front:.0}, "));
     line(
         "hlods a frame",
         format!(
-            "front {:.0}, in frustum {:.0}, tested {:.0}, visible {:.0}; drawn / with a pixel {efficiency}",
-            c.front, c.in_frustum, c.queries, c.visible
+            "{front}in frustum {:.0}, tested {:.0}, visible {:.0}; drawn / with a pixel {efficiency}",
+            c.in_frustum, c.queries, c.visible
         ),
     );
     let b = &s.bandwidth;
@@ -72,13 +73,7 @@ pub fn table(summary: &Summary) -> String {
             b.ids_delta, b.entropy_bound, b.ids_full, b.paper_formula
         ),
     );
-    line(
-        "audit",
-        match s.audit.frames {
-            0 => "off".to_owned(),
-            frames => format!("{} differing pixels in {frames} frames", s.audit.differing_pixels),
-        },
-    );
+    line("audit", audit(&s.audit));
     let io = &s.io;
     let mb = |bytes: u64| bytes as f64 / 1e6;
     line(
@@ -120,4 +115,21 @@ pub fn table(summary: &Summary) -> String {
         ),
     );
     out
+}
+
+/// What the audit found, in words.
+fn audit(found: &Audit) -> String {
+    if found.frames == 0 {
+        return "off".to_owned();
+    }
+    let mut text =
+        format!("{} differing pixels in {} frames", found.differing_pixels, found.frames);
+    if found.unknown_pixels > 0 {
+        let unknown = found.unknown_pixels;
+        let _ = write!(text, "; {unknown} not compared, for something was not there");
+    }
+    if found.front_faults > 0 {
+        let _ = write!(text, "; {} hlods are wrong on the front", found.front_faults);
+    }
+    text
 }

@@ -6,7 +6,9 @@ use super::{SceneFacts, report, table, trace};
 use crate::record::{ClockEstimate, NodeRecord, PhaseRecord, RunRecord};
 use protocol::id::{FrameIndex, Seat};
 use protocol::schedule::{Phase, Role, SEATS, last_phase, receivers, role};
-use protocol::settings::{BackendChoice, Cull, PictureSize, Residency, RunSettings, Schedule};
+use protocol::settings::{
+    AuditAgainst, BackendChoice, Cull, PictureSize, Residency, RunSettings, Schedule,
+};
 use protocol::sun::Sun;
 use protocol::telemetry::{
     Audit, BackendInfo, CullCounts, DrawCounts, IoCounts, LinkBytes, Missing, PhaseReport,
@@ -33,6 +35,7 @@ fn record(schedule: Schedule, frames: u32) -> RunRecord {
         backend: BackendChoice::Cpu,
         frames,
         audit_every: 2,
+        audit_against: AuditAgainst::Front,
         items_every: 2,
         memory: None,
         residency: Residency::Exact,
@@ -103,7 +106,12 @@ fn report(
                 far_triangles: 200,
                 hlods_with_pixels: even_picture.then_some(20),
                 picture_hash: Some(u64::from(frame.0)),
-                audit: even_picture.then_some(Audit { differing_pixels: u64::from(frame.0) }),
+                front: even_picture.then_some(100 + frame.0),
+                audit: even_picture.then_some(Audit {
+                    differing_pixels: u64::from(frame.0),
+                    unknown_pixels: 7,
+                    front_faults: frame.0 / 4,
+                }),
                 measuring_ns: if even_picture { MS } else { 0 },
                 missing: Missing { replaced: frame.0, holes: 0, error_px: 0.5 },
             }),
@@ -122,7 +130,6 @@ fn report(
 
 fn cull(frame: FrameIndex) -> CullCounts {
     CullCounts {
-        front: 100,
         in_frustum: 60,
         queries: 50,
         visible: 30,
@@ -185,6 +192,8 @@ fn the_summary_counts_what_was_measured_and_where() {
     assert_eq!((summary.culling.efficiency, summary.culling.efficiency_frames), (Some(1.5), 3));
     let audit = &summary.audit;
     assert_eq!((audit.frames, audit.differing_frames, audit.differing_pixels), (3, 2, 6));
+    assert_eq!((audit.unknown_pixels, audit.front_faults), (21, 1));
+    assert_eq!(summary.culling.front, Some(102.0), "of the frames where it was counted");
     assert_eq!((summary.bandwidth.ids_delta, summary.bandwidth.ids_full), (4.0, 120.0));
     assert_eq!(summary.triangles.source_in_frustum.mean, 9000.0);
     assert_eq!(summary.memory.peak_rss, [1000, 1001, 1002]);
@@ -217,6 +226,8 @@ fn the_files_hold_every_frame_and_no_markup_of_the_scene() {
     }
     let html = report::html(&summary, &rows, std::path::Path::new("no such folder"));
     assert!(html.contains("a&lt;b&gt;.occ") && !html.contains("a<b>"));
-    assert!(table::table(&summary).contains("6 differing pixels in 3 frames"));
+    assert!(table::table(&summary).contains(
+        "6 differing pixels in 3 frames; 21 not compared, for something was not there; 1 hlods are wrong on the front"
+    ));
     assert!(csv(&[FrameRow::default()]).len() > 100);
 }

@@ -50,7 +50,7 @@ fn work_event(lane: u32, work: &WorkReport, at: impl Fn(u64) -> f64) -> Value {
     let name = format!("{}({})", short(work.role), work.frame);
     let detail = match (&work.cull, &work.draw) {
         (Some(cull), _) => {
-            json!({ "front": cull.front, "queries": cull.queries, "visible": cull.visible })
+            json!({ "in_frustum": cull.in_frustum, "queries": cull.queries, "visible": cull.visible })
         }
         (None, Some(draw)) => json!({ "hlods": draw.hlods, "triangles": draw.triangles }),
         (None, None) => json!({}),

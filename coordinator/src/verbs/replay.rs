@@ -17,7 +17,8 @@ use coordinator::log::{SceneFacts, write_all};
 use coordinator::run::{self as rig_run, RunError, RunPlan};
 use protocol::camera::{Camera, near_plane};
 use protocol::settings::{
-    BackendChoice, Cull, FAR_CUBES, Far, PictureSize, Residency, RunSettings, Schedule,
+    AuditAgainst, BackendChoice, Cull, FAR_CUBES, Far, PictureSize, Residency, RunSettings,
+    Schedule,
 };
 use scene::store::Store;
 use std::net::SocketAddr;
@@ -61,7 +62,7 @@ pub(crate) struct RunOptions {
     /// queries, boxes or off
     #[arg(long, env = "OCCLUSTER_CULL", value_parser = word::<Cull>)]
     pub(super) cull: Option<Cull>,
-    /// Largest error of what is drawn, in pixels; 0 draws the original geometry
+    /// Pixels by which a point may be seen away from its place; 0 draws the original geometry
     #[arg(long, value_name = "PX", env = "OCCLUSTER_LOD")]
     pub(super) lod: Option<PixelError>,
     /// Distance of the near plane, scene units [default: the path's, or a ten thousandth of how far the scene
@@ -80,6 +81,9 @@ pub(crate) struct RunOptions {
     /// Compare pictures with and without culling: every=N or off
     #[arg(long, env = "OCCLUSTER_AUDIT")]
     pub(super) audit: Option<Every>,
+    /// front: against what the frustum holds; scene: against all of the scene, and the levels against --lod
+    #[arg(long, env = "OCCLUSTER_AUDIT_AGAINST", value_parser = word::<AuditAgainst>)]
+    pub(super) audit_against: Option<AuditAgainst>,
     /// png or off
     #[arg(long, env = "OCCLUSTER_PICTURES", value_parser = word::<Pictures>)]
     pub(super) pictures: Option<Pictures>,
@@ -244,6 +248,7 @@ fn settings(args: &Args, rig: &Rig, store: &Store, frames: usize) -> Result<RunS
         backend: o.backend.or(rig.backend).unwrap_or_default(),
         frames: frames as u32,
         audit_every: o.audit.or(rig.audit).map_or(0, |every| every.0),
+        audit_against: o.audit_against.or(rig.audit_against).unwrap_or_default(),
         items_every: ITEMS_EVERY,
         memory,
         residency,

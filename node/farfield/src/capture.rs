@@ -1,5 +1,5 @@
 //! Takes samples through a backend (paper 000, section 3.1): six pictures with depth, of the far field
-//! alone, at less than half a pixel of error.
+//! alone, at no more than half a pixel of error, in the corners of a face as in its middle.
 
 use crate::placement::Source;
 use crate::sample::{FACES, FaceAxes, FacePicture, Sample};
@@ -17,7 +17,7 @@ use scene::near_field::NearField;
 use scene::residency::{Residency, Stamp};
 use scene::store::{Store, StoreError};
 
-/// Error of what a sample is taken of, pixels of its faces.
+/// Pixels of its faces by which what a sample is taken of is seen away from its place at most.
 pub const LOD_PX: f64 = 0.5;
 
 /// Why a sample cannot be taken.

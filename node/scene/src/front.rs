@@ -1,12 +1,14 @@
-//! The front: the cut through the tree that meets the pixel error at a camera (paper 004, section 5).
+//! The front: the cut through the tree no point of which is seen farther from its place than the pixel
+//! error allows ([`crate::displacement`]; Manocha, section 5).
 //!
 //! Every process computes it for itself, so its arithmetic is `+ - * / sqrt` in f64 alone and every
 //! coordinate is made relative to the eye first: the same bits everywhere.
 
+use crate::displacement::Projection;
 use crate::near_field::{NearField, Reach};
-use crate::view::{frustum, pixel_at_unit_depth};
+use crate::view::frustum;
 use geometry::bounds::Aabb;
-use geometry::frustum::Containment;
+use geometry::frustum::{Containment, Frustum};
 use glam::DVec3;
 use protocol::camera::Camera;
 use protocol::format::{Hlod, Skeleton};
@@ -27,8 +29,6 @@ pub struct FrontEntry {
 pub struct Front {
     /// What lies in the frustum, sorted by hlod.
     pub entries: Vec<FrontEntry>,
-    /// Size of the whole front, inside the frustum or not.
-    pub total: u32,
     /// Triangles of the source below `entries`.
     pub source_triangles_in_frustum: u64,
 }
@@ -61,6 +61,15 @@ enum Choice {
 }
 
 impl Field<'_> {
+    /// Whether a leaf belongs to it.
+    pub(crate) fn has_leaf(&self, leaf: HlodId) -> bool {
+        match self {
+            Field::Whole => true,
+            Field::Near(near) => near.iter().any(|near| near.reach_of(leaf) == Reach::Leaf),
+            Field::Far(near) => near.reach_of(leaf) != Reach::Leaf,
+        }
+    }
+
     fn choice(&self, id: HlodId) -> Choice {
         match self {
             Field::Whole => Choice::Take,
@@ -87,21 +96,20 @@ impl Field<'_> {
 /// How the traversal came to an hlod.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum State {
-    /// Not at all: it lies below the front.
+    /// Not at all: it lies below the front, or outside the frustum.
     Unreached,
     /// The frustum is yet to be asked.
     Reached,
     /// An ancestor lies wholly inside.
     Inside,
-    /// An ancestor lies wholly outside.
-    Outside,
 }
 
-/// The cut for `camera`: of each branch the highest hlod with a level whose error projects to at most
-/// `lod_px` pixels, at the coarsest such level; a leaf that has none is drawn at its level 0.
+/// The front for `camera`: of each branch in the frustum the highest hlod with a level whose error is
+/// seen as at most `lod_px` pixels, at the coarsest such level; a leaf that has none is drawn at its
+/// level 0.
 ///
-/// `projected = error / distance(eye, box) * height / (2 tan(fov/2))`. With `lod_px` 0 it is the
-/// leaves' level 0, the original geometry.
+/// What is seen as how much: [`Projection::allowed_error`]. With `lod_px` 0 it is the leaves' level 0, the
+/// original geometry.
 pub fn front(skeleton: &Skeleton, camera: &Camera, size: PictureSize, lod_px: f64) -> Front {
     front_of(skeleton, camera, size, lod_px, &Field::Whole)
 }
@@ -115,14 +123,41 @@ pub fn front_of(
     field: &Field<'_>,
 ) -> Front {
     let frustum = frustum(camera, size);
-    let allowed_at_unit_distance = lod_px * pixel_at_unit_depth(camera, size);
-    let mut front = Front::default();
+    let entries = traverse(skeleton, camera, size, lod_px, field, Some(&frustum));
+    let source = entries.iter().map(|entry| skeleton.hlod(entry.hlod).source_triangles);
+    Front { source_triangles_in_frustum: source.sum(), entries }
+}
+
+/// The whole cut that a front is the part of which lies in the frustum, sorted by hlod: every leaf of
+/// `field` is on it or below it.
+pub fn whole_cut(
+    skeleton: &Skeleton,
+    camera: &Camera,
+    size: PictureSize,
+    lod_px: f64,
+    field: &Field<'_>,
+) -> Vec<FrontEntry> {
+    traverse(skeleton, camera, size, lod_px, field, None)
+}
+
+/// Without a `frustum` nothing is outside it.
+fn traverse(
+    skeleton: &Skeleton,
+    camera: &Camera,
+    size: PictureSize,
+    lod_px: f64,
+    field: &Field<'_>,
+    frustum: Option<&Frustum>,
+) -> Vec<FrontEntry> {
+    let projection = Projection::new(camera, size);
+    let mut entries = Vec::new();
     // Children follow their parent, so one pass in id order is a traversal that needs no stack and
     // yields a sorted front.
     let mut states = vec![State::Unreached; skeleton.hlods.len()];
     if let Some(root) = states.first_mut() {
         *root = State::Reached;
     }
+
     for id in 0..states.len() {
         let mut state = states[id];
         if state == State::Unreached {
@@ -134,15 +169,16 @@ pub fn front_of(
             continue;
         }
         let seen_from_eye = box_from_eye(hlod, camera.eye);
-        if state == State::Reached {
+        if let (State::Reached, Some(frustum)) = (state, frustum) {
             state = match frustum.contains(&seen_from_eye) {
-                Containment::Outside => State::Outside,
+                Containment::Outside => continue,
                 Containment::Inside => State::Inside,
                 Containment::Crossing => State::Reached,
             };
         }
+
         let level = if lod_px > 0.0 && matches!(choice, Choice::Take) {
-            let allowed = allowed_at_unit_distance * seen_from_eye.distance(DVec3::ZERO);
+            let allowed = projection.allowed_error(&seen_from_eye, lod_px);
             skeleton.levels_of(hlod).iter().rposition(|level| level.error <= allowed)
         } else {
             None
@@ -150,12 +186,8 @@ pub fn front_of(
         let is_leaf = hlod.child_count == 0;
         match level.or(is_leaf.then_some(0)) {
             Some(level) => {
-                front.total += 1;
-                if state != State::Outside {
-                    let level = hlod.first_level + level as u32;
-                    front.entries.push(FrontEntry { hlod: HlodId(id as u32), level });
-                    front.source_triangles_in_frustum += hlod.source_triangles;
-                }
+                let level = hlod.first_level + level as u32;
+                entries.push(FrontEntry { hlod: HlodId(id as u32), level });
             }
             None => {
                 let first = hlod.first_child as usize;
@@ -163,7 +195,7 @@ pub fn front_of(
             }
         }
     }
-    front
+    entries
 }
 
 #[cfg(test)]
@@ -174,11 +206,9 @@ mod tests {
 
     const SIZE: PictureSize = PictureSize { width: 320, height: 200 };
 
-    fn meets(level: f64, hlod: &Hlod, camera: &Camera, lod_px: f64) -> bool {
-        let distance = box_from_eye(hlod, camera.eye).distance(DVec3::ZERO);
-        level == 0.0
-            || level / distance * 200.0 / (2.0 * f64::from(camera.tan_half_fov_y))
-                <= lod_px * (1.0 + 1e-12)
+    fn meets(error: f64, hlod: &Hlod, camera: &Camera, lod_px: f64) -> bool {
+        let seen = box_from_eye(hlod, camera.eye);
+        error <= Projection::new(camera, SIZE).allowed_error(&seen, lod_px)
     }
 
     fn cases() -> impl Iterator<Item = (RandomScene, Camera)> {
@@ -293,13 +323,44 @@ mod tests {
     #[test]
     fn more_error_is_a_smaller_front() {
         for (scene, camera) in cases() {
-            let totals: Vec<u32> = [0.0, 0.1, 0.5, 1.0, 3.0, 20.0, 1e9]
-                .iter()
-                .map(|&lod_px| front(&scene.skeleton, &camera, SIZE, lod_px).total)
-                .collect();
+            let size = |lod_px: f64| {
+                whole_cut(&scene.skeleton, &camera, SIZE, lod_px, &Field::Whole).len()
+            };
+            let totals = [0.0, 0.1, 0.5, 1.0, 3.0, 20.0, 1e9].map(size);
             assert!(totals.is_sorted_by(|a, b| a >= b), "{totals:?}");
             assert_eq!(totals[0], 256);
         }
+    }
+
+    #[test]
+    fn a_front_is_what_the_frustum_holds_of_the_whole_cut_and_looks_at_nothing_else() {
+        let mut left_out = 0;
+        for (mut scene, camera) in cases() {
+            for lod_px in [0.0, 2.0] {
+                let cut = whole_cut(&scene.skeleton, &camera, SIZE, lod_px, &Field::Whole);
+                let held = front(&scene.skeleton, &camera, SIZE, lod_px);
+                let is_outside = |id: HlodId| {
+                    let seen = box_from_eye(scene.skeleton.hlod(id), camera.eye);
+                    frustum(&camera, SIZE).contains(&seen) == Containment::Outside
+                };
+                let expected = cut.iter().filter(|entry| {
+                    let up = scene.skeleton.ancestors(entry.hlod);
+                    !std::iter::once(entry.hlod).chain(up).any(is_outside)
+                });
+                assert_eq!(held.entries, expected.copied().collect::<Vec<_>>());
+                left_out += cut.len() - held.entries.len();
+
+                // What is outside is not refined: its children are not looked for.
+                let whole = scene.skeleton.hlods.clone();
+                let inner = (0..whole.len()).filter(|&at| whole[at].child_count > 0);
+                for at in inner.filter(|&at| is_outside(HlodId(at as u32))).collect::<Vec<_>>() {
+                    scene.skeleton.hlods[at].first_child = u32::MAX / 2;
+                }
+                assert_eq!(front(&scene.skeleton, &camera, SIZE, lod_px), held);
+                scene.skeleton.hlods = whole;
+            }
+        }
+        assert!(left_out > 1000, "{left_out}");
     }
 
     #[test]

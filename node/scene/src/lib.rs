@@ -1,7 +1,9 @@
 //! The baked scene at run time, without a GPU: what is near, what may be hidden, what to draw.
 
 pub mod backend;
+pub mod cut_check;
 pub mod deep;
+pub mod displacement;
 pub mod draw_list;
 #[cfg(test)]
 mod fixture;

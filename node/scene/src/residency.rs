@@ -19,7 +19,7 @@ struct Held {
 }
 
 /// The blobs a backend holds.
-#[derive(Debug, Default)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub struct Residency {
     blobs: Vec<Option<Held>>,
     by_age: BTreeSet<(Stamp, BlobId)>,

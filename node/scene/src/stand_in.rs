@@ -1,9 +1,9 @@
 //! What is drawn for hlods whose geometry is not there: the nearest ancestor that is, and the error in
 //! pixels that this is seen to cause.
 
+use crate::displacement::Projection;
 use crate::front::{FrontEntry, box_from_eye};
 use crate::view::pixel_at_unit_depth;
-use glam::DVec3;
 use protocol::camera::Camera;
 use protocol::format::Skeleton;
 use protocol::id::HlodId;
@@ -70,10 +70,10 @@ pub struct Seen<'a> {
 /// Pixels by which a picture strays where something stands in: from the original surface to what is
 /// shown, and back, whichever is more. `replaced` is as in [`Available`].
 ///
-/// What should be seen lies no nearer than the boxes of the replaced hlods. What is seen of a stand-in
-/// lies where its pixels are; what blends has no depth and counts at the nearest point of its box. At
-/// that distance `d` the error of the stand-in's level is `error / (d * size of a pixel at 1)`, as for
-/// the front. Nothing strays by more than the picture's diagonal.
+/// What should be seen lies in the boxes of the replaced hlods. What is seen of a stand-in lies where its
+/// pixels are; what blends has no depth, and any point of its box counts. From each of them the other
+/// surface is as far as the error of the stand-in's level, which [`Projection`] turns into pixels. Nothing
+/// strays by more than the picture's diagonal.
 pub fn seen_error(
     skeleton: &Skeleton,
     replaced: &[(HlodId, FrontEntry)],
@@ -81,28 +81,48 @@ pub fn seen_error(
     size: PictureSize,
     seen: &Seen<'_>,
 ) -> f64 {
+    let projection = Projection::new(camera, size);
     let error = |entry: &FrontEntry| skeleton.levels[entry.level as usize].error;
     let errors: BTreeMap<u32, f64> =
         replaced.iter().map(|(_, by)| (by.hlod.0, error(by))).collect();
-    let near = f64::from(camera.near);
-    let distance = |hlod: HlodId| {
-        box_from_eye(skeleton.hlod(hlod), camera.eye).distance(DVec3::ZERO).max(near)
+    let anywhere = |hlod: HlodId, error: f64| {
+        projection.moved_px(&box_from_eye(skeleton.hlod(hlod), camera.eye), error)
     };
-    let wanted = replaced.iter().map(|(hlod, by)| error(by) / distance(*hlod));
+
+    let wanted = replaced.iter().map(|(hlod, by)| anywhere(*hlod, error(by)));
     let blended = seen.blended.iter().filter_map(|&item| {
         let error = errors.get(&item)?;
-        Some(error / distance(HlodId(item)))
+        Some(anywhere(HlodId(item), *error))
     });
     let pixel = pixel_at_unit_depth(camera, size);
     let solid = seen.items.iter().zip(seen.depth).zip(0u32..).filter_map(|((item, depth), at)| {
         let error = errors.get(item)?;
-        let ray = [(at % size.width, size.width), (at / size.width, size.height)]
+        let [x, y] = [(at % size.width, size.width), (at / size.width, size.height)]
             .map(|(at, side)| (f64::from(at) + 0.5 - f64::from(side) / 2.0) * pixel);
-        let length = (1.0 + ray[0] * ray[0] + ray[1] * ray[1]).sqrt();
-        Some(error * f64::from(*depth) / (near * length))
+        let view_depth = f64::from(camera.near) / f64::from(*depth);
+        Some(projection.moved_at_px(view_depth, (x * x + y * y).sqrt(), *error))
     });
-    let diagonal = f64::from(size.width).hypot(f64::from(size.height));
-    (wanted.chain(blended).chain(solid).fold(0.0, f64::max) / pixel).min(diagonal)
+    wanted.chain(blended).chain(solid).fold(0.0, f64::max)
+}
+
+/// What would be drawn without culling, beside the same stand-ins: entries of `whole` that are there, but
+/// for those that something in `replaced`, as in [`Available`], takes the place of. `whole` is sorted by hlod.
+pub fn unculled(
+    skeleton: &Skeleton,
+    whole: &[FrontEntry],
+    replaced: &[(HlodId, FrontEntry)],
+    is_there: impl Fn(u32) -> bool,
+) -> Vec<FrontEntry> {
+    let stand_ins: BTreeMap<HlodId, u32> =
+        replaced.iter().map(|(_, by)| (by.hlod, by.level)).collect();
+    let is_drawn = |entry: &&FrontEntry| {
+        let mut up = std::iter::once(entry.hlod).chain(skeleton.ancestors(entry.hlod));
+        is_there(entry.level) && !up.any(|id| stand_ins.contains_key(&id))
+    };
+    let mut entries: Vec<FrontEntry> = whole.iter().filter(is_drawn).copied().collect();
+    entries.extend(stand_ins.iter().map(|(&hlod, &level)| FrontEntry { hlod, level }));
+    entries.sort_by_key(|entry| entry.hlod);
+    entries
 }
 
 fn stand_in(
@@ -209,6 +229,39 @@ mod tests {
     }
 
     #[test]
+    fn without_culling_the_same_stand_ins_are_drawn_and_nothing_twice() {
+        let (mut more, mut hidden) = (0, 0);
+        for seed in 0..100 {
+            let mut scene = RandomScene::new(seed, 3, 16.0);
+            let camera = scene.camera();
+            let front = front(&scene.skeleton, &camera, SIZE, 2.0).entries;
+            let there: Vec<bool> =
+                scene.skeleton.levels.iter().map(|_| scene.rng.random_bool(0.6)).collect();
+            let is_there = |level: u32| there[level as usize];
+            // Every third is visible.
+            let visible: Vec<FrontEntry> = front.iter().step_by(3).copied().collect();
+            let skeleton = &scene.skeleton;
+            let shown = available(skeleton, &visible, is_there);
+            let whole = unculled(skeleton, &front, &shown.replaced, is_there);
+
+            assert!(whole.is_sorted_by(|a, b| a.hlod < b.hlod));
+            assert!(shown.entries.iter().all(|entry| whole.contains(entry)), "seed {seed}");
+            for entry in &whole {
+                let above = |id| whole.iter().any(|other| other.hlod == id);
+                assert!(is_there(entry.level) && !skeleton.ancestors(entry.hlod).any(above));
+            }
+            let beside = front.iter().filter(|entry| is_there(entry.level)).filter(|entry| {
+                let stands = |id| shown.replaced.iter().any(|(_, by)| by.hlod == id);
+                !std::iter::once(entry.hlod).chain(skeleton.ancestors(entry.hlod)).any(stands)
+            });
+            assert!(beside.clone().all(|entry| whole.contains(entry)), "seed {seed}");
+            more += whole.len() - shown.entries.len();
+            hidden += front.len() - beside.count();
+        }
+        assert!(more > 300 && hidden > 300, "{more} {hidden}");
+    }
+
+    #[test]
     fn the_error_seen_is_that_of_the_pixel_that_strays_most() {
         let mut scene = RandomScene::new(3, 2, 16.0);
         let camera = Camera { near: 0.5, ..scene.camera() };
@@ -236,17 +289,24 @@ mod tests {
         // View depths 100 and 50 with a quarter of a unit, 2000 and 200 with two.
         assert!(is_about(error(&[0, 0, 1], &[0.005, 0.01, 0.00025], &[]), 0.25 / 50.0 / pixel));
         assert!(is_about(error(&[0, 0, 1], &[0.005, 0.01, 0.0025], &[]), 2.0 / 200.0 / pixel));
-        let distance = |hlod| {
-            box_from_eye(scene.skeleton.hlod(HlodId(hlod)), camera.eye)
-                .distance(DVec3::ZERO)
-                .max(0.5)
+        let anywhere = |hlod, error| {
+            let seen = box_from_eye(scene.skeleton.hlod(HlodId(hlod)), camera.eye);
+            Projection::new(&camera, SIZE).moved_px(&seen, error)
         };
         let diagonal = 64f64.hypot(48.0);
-        assert_eq!(error(&[], &[], &[1]), (2.0 / distance(1) / pixel).min(diagonal));
+        assert_eq!(error(&[], &[], &[1]), anywhere(1, 2.0));
         // What should be seen and is not.
         let seen = Seen { items: &[], depth: &[], blended: &[] };
         let told = seen_error(&scene.skeleton, &[(HlodId(2), entry(0, 1))], &camera, SIZE, &seen);
-        assert_eq!(told, (0.25 / distance(2) / pixel).min(diagonal));
+        assert_eq!(told, anywhere(2, 0.25));
+        // The same a pixel from the picture's corner: farther away, and seen at an angle.
+        let mut items = vec![NO_ITEM; 64 * 48];
+        items[0] = 1;
+        let seen = Seen { items: &items, depth: &[0.00025; 64 * 48], blended: &[] };
+        let told = seen_error(&scene.skeleton, &replaced, &camera, SIZE, &seen);
+        let off_axis = 31.5f64.hypot(23.5) * pixel;
+        let first_order = 2.0 / 2000.0 * (1.0 + off_axis * off_axis).sqrt() / pixel;
+        assert!((told / first_order - 1.0).abs() < 5e-3, "{told} {first_order}");
         // An error larger than the distance fills the picture, no more.
         scene.skeleton.levels[1].error = 1e30;
         let told = seen_error(&scene.skeleton, &replaced, &camera, SIZE, &seen);

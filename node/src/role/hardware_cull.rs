@@ -32,7 +32,6 @@ pub(crate) struct Culled {
 pub(crate) fn run(stage: &mut Stage<'_>, camera: &Camera) -> Result<Culled, RoleError> {
     let front = stage.front(camera);
     let mut counts = CullCounts {
-        front: front.total,
         in_frustum: front.entries.len() as u32,
         source_triangles_in_frustum: front.source_triangles_in_frustum,
         ..CullCounts::default()

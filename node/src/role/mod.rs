@@ -18,7 +18,7 @@ use protocol::telemetry::{BackendInfo, IoCounts};
 use protocol::visible::VisibleSet;
 use scene::backend::{Backend, BackendError, Completion, Draw, Draws, Part, Pass, Shading, View};
 use scene::draw_list::draw_list;
-use scene::front::{Front, FrontEntry, front_of};
+use scene::front::{Front, FrontEntry, front_of, whole_cut};
 use scene::occludee::Rules;
 use scene::stand_in::{Available, available};
 use scene::store::StoreError;
@@ -136,6 +136,13 @@ impl<'a> Stage<'a> {
         Shading::Lit { sun: self.settings.sun.unit() }
     }
 
+    /// The whole cut at a camera, in the frustum or not, made anew.
+    fn whole_cut(&self, camera: &Camera) -> Vec<FrontEntry> {
+        let RunSettings { size, lod_px, .. } = *self.settings;
+        let field = self.far.cells.field_at(camera.eye);
+        whole_cut(&self.skeleton, camera, size, lod_px, &field)
+    }
+
     /// What `promise` lets be drawn of `entries` now.
     fn available(&self, entries: &[FrontEntry], promise: Promise) -> Available {
         available(&self.skeleton, entries, |level| self.loader.offers_level(level, promise))
@@ -168,17 +175,31 @@ impl<'a> Stage<'a> {
         }
         loop {
             let mut shown = self.available(&entries, promise);
-            let mut draws = draw_list(&self.skeleton, &shown.entries, camera.eye);
-            let mut far = self.far_draws(of, camera);
-            let wanted = far.len();
-            far.retain(|draw| self.loader.offers(draw.blob, promise));
+            let (draws, missing) = self.list(of, camera, &shown.entries, promise);
             // Nothing stands in for a cube.
-            shown.holes += (wanted - far.len()) as u32;
-            draws.solid.extend(far);
+            shown.holes += missing;
             if let Some(completion) = self.draw_list(camera, &draws, &pass)? {
                 return Ok((completion, shown, draws));
             }
         }
+    }
+
+    /// The draws of `entries`, which can be drawn, and of those of a composition's cubes that can; and how
+    /// many cubes cannot.
+    fn list(
+        &self,
+        of: &Composition<'_>,
+        camera: &Camera,
+        entries: &[FrontEntry],
+        promise: Promise,
+    ) -> (Draws, u32) {
+        let mut draws = draw_list(&self.skeleton, entries, camera.eye);
+        let mut far = self.far_draws(of, camera);
+        let wanted = far.len();
+        far.retain(|draw| self.loader.offers(draw.blob, promise));
+        let missing = (wanted - far.len()) as u32;
+        draws.solid.extend(far);
+        (draws, missing)
     }
 
     /// Draws a list; none where a mesh turned out to be unreadable.
@@ -193,12 +214,28 @@ impl<'a> Stage<'a> {
             backend.submit(pass(view, draws, part))?;
             Ok(())
         })?;
+        Ok(Some(self.completion()?).filter(|_| drawn == Drawn::Whole))
+    }
+
+    /// Draws a list all of which is there: nothing is read for it, and nothing counts as used.
+    fn draw_held(
+        &mut self,
+        camera: &Camera,
+        draws: Draws,
+        pass: impl Fn(View, Draws, Part) -> Pass,
+    ) -> Result<Completion, RoleError> {
+        self.backend.submit(pass(self.view(camera), draws, Part::WHOLE))?;
+        self.completion()
+    }
+
+    /// Waits for the answer to the one pass that was submitted.
+    fn completion(&mut self) -> Result<Completion, RoleError> {
         let mut completions = Vec::new();
         while completions.is_empty() {
             self.backend.poll(&mut completions)?;
         }
         assert_eq!(completions.len(), 1, "one pass, one answer");
-        Ok(completions.pop().filter(|_| drawn == Drawn::Whole))
+        Ok(completions.remove(0))
     }
 
     /// Triangles of `entries` at their levels.

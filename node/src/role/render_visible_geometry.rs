@@ -40,6 +40,8 @@ pub(crate) struct Layer {
     pub(crate) shown: Vec<FrontEntry>,
     /// Hlods that should be seen, and what stands for each instead.
     pub(crate) replaced: Vec<(HlodId, FrontEntry)>,
+    /// Hlods that should be seen and are not drawn at their level: the replaced ones, and holes.
+    pub(crate) lacking: Vec<HlodId>,
 }
 
 /// Draws V_i at the levels of this camera's own front, or what stands in for what is not there.
@@ -66,13 +68,22 @@ pub(crate) fn run(
         counts.far_triangles += far_triangles;
         counts.triangles += stage.triangles(&shown.entries) + far_triangles;
         counts.missing.holes += shown.holes;
+        let is_lacking =
+            |entry: &&FrontEntry| of.has(entry.hlod) && !is_among(&shown.entries, entry);
+        let lacking = entries.iter().filter(is_lacking).map(|entry| entry.hlod).collect();
         let (shown, replaced) = (shown.entries, shown.replaced);
-        layers.push(Layer { weight: of.weight, picture, draws, shown, replaced });
+        layers.push(Layer { weight: of.weight, picture, draws, shown, replaced, lacking });
     }
     counts.hlods = distinct(&layers, |layer| layer.shown.iter().map(|entry| entry.hlod));
     counts.missing.replaced = distinct(&layers, |layer| layer.replaced.iter().map(|(id, _)| *id));
     let mix = (layers.len() > 1).then(|| mixed(&layers));
     Ok(Drawn { counts, layers, mix })
+}
+
+/// Whether `entries`, sorted by hlod, have this one at its level.
+pub(crate) fn is_among(entries: &[FrontEntry], entry: &FrontEntry) -> bool {
+    let found = entries.binary_search_by_key(&entry.hlod, |other| other.hlod);
+    found.is_ok_and(|at| entries[at] == *entry)
 }
 
 /// How many hlods there are in all of the layers.
@@ -120,6 +131,7 @@ mod tests {
             draws: Draws::default(),
             shown: vec![],
             replaced: vec![],
+            lacking: vec![],
         };
         let [a, b] = [[0, 255, 7, 255], [10, 255, 8, 0]];
         for (weight, expected) in [

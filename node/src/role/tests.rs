@@ -5,7 +5,7 @@ use super::*;
 use crate::fixture::{Piece, street, write};
 use crate::open::open_on;
 use protocol::format::{Method, ViewCell};
-use protocol::settings::{BackendChoice, Cull, PictureSize, Residency, Schedule};
+use protocol::settings::{AuditAgainst, BackendChoice, Cull, PictureSize, Residency, Schedule};
 use protocol::sun::Sun;
 use protocol::telemetry::CullCounts;
 use protocol::visible::VisibleSet;
@@ -13,6 +13,8 @@ use scene::backend::cpu::CpuBackend;
 use scene::view_cells::WHOLE;
 use std::path::Path;
 use std::sync::atomic::AtomicU64;
+
+mod audits;
 
 const SIZE: PictureSize = PictureSize { width: 97, height: 61 };
 
@@ -28,6 +30,7 @@ fn settings(path: &Path, cull: Cull) -> RunSettings {
         backend: BackendChoice::Cpu,
         frames: 0,
         audit_every: 0,
+        audit_against: AuditAgainst::Front,
         items_every: 0,
         memory: None,
         residency: Residency::Exact,

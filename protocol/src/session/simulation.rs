@@ -13,7 +13,9 @@ use crate::codec::{Decoder, encode};
 use crate::id::{FrameIndex, HlodId, Seat};
 use crate::message::{FailureKind, Message, Token};
 use crate::schedule;
-use crate::settings::{BackendChoice, Cull, PictureSize, Residency, RunSettings, Schedule};
+use crate::settings::{
+    AuditAgainst, BackendChoice, Cull, PictureSize, Residency, RunSettings, Schedule,
+};
 use crate::sun::Sun;
 use crate::telemetry::{BackendInfo, CullCounts, DrawCounts, Nanos};
 use crate::visible::VisibleSet;
@@ -114,6 +116,7 @@ impl Simulation {
             backend: BackendChoice::Cpu,
             frames,
             audit_every: 0,
+            audit_against: AuditAgainst::Front,
             items_every: 0,
             memory: None,
             residency: Residency::Exact,

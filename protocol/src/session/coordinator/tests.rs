@@ -1,7 +1,7 @@
 //! Who is let in, and what ends a run.
 
 use super::*;
-use crate::settings::{BackendChoice, Cull, PictureSize, Residency, Schedule};
+use crate::settings::{AuditAgainst, BackendChoice, Cull, PictureSize, Residency, Schedule};
 use crate::sun::Sun;
 
 const TOKEN: Token = Token([4; 32]);
@@ -18,6 +18,7 @@ fn coordinator() -> Coordinator {
         backend: BackendChoice::Auto,
         frames: 1,
         audit_every: 0,
+        audit_against: AuditAgainst::Front,
         items_every: 0,
         memory: None,
         residency: Residency::Exact,

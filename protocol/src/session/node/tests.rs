@@ -1,7 +1,7 @@
 //! What a node refuses, and that nothing a peer says makes it panic.
 
 use super::*;
-use crate::settings::{BackendChoice, Cull, PictureSize, Residency, Schedule};
+use crate::settings::{AuditAgainst, BackendChoice, Cull, PictureSize, Residency, Schedule};
 use crate::sun::Sun;
 use proptest::prelude::*;
 
@@ -19,6 +19,7 @@ fn welcome(seat: u8, schedule: Schedule) -> Message {
         backend: BackendChoice::Auto,
         frames: 4,
         audit_every: 0,
+        audit_against: AuditAgainst::Front,
         items_every: 0,
         memory: None,
         residency: Residency::Exact,
