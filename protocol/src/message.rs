@@ -9,7 +9,7 @@ use crate::visible::DeltaChunk;
 use serde::{Deserialize, Serialize};
 
 /// Version of the messages below; both ends must speak the same.
-pub const WIRE_VERSION: u32 = 4;
+pub const WIRE_VERSION: u32 = 5;
 
 /// Secret of one run: whoever does not know it is hung up on.
 #[derive(Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]

@@ -3,6 +3,7 @@
 
 use super::render_visible_geometry::{Drawn, Layer};
 use super::{RoleError, Stage};
+use crate::resident::Needs;
 use protocol::camera::Camera;
 use protocol::settings::Residency as Promise;
 use protocol::telemetry::Audit;
@@ -105,7 +106,7 @@ fn items_of(
     drawn: &Layer,
 ) -> Result<Option<Items>, RoleError> {
     let pass = |view, draws, part| Pass::Items { view, draws, part };
-    Ok(stage.draw_list(camera, &drawn.draws, pass)?.map(|completion| {
+    Ok(stage.draw_list(camera, &drawn.draws, Needs::Look, pass)?.map(|completion| {
         let Completion::Items { items, blended, .. } = completion else {
             unreachable!("items answer as such")
         };
@@ -123,7 +124,7 @@ fn stray(
 ) -> Result<f64, RoleError> {
     let shading = stage.shading();
     let pass = |view, draws, part| Pass::Shade { view, shading, draws, with_depth: true, part };
-    let depth = match stage.draw_list(camera, &drawn.draws, pass)? {
+    let depth = match stage.draw_list(camera, &drawn.draws, Needs::Look, pass)? {
         Some(Completion::Picture { picture, .. }) => picture.depth,
         _ => None,
     };
