@@ -15,6 +15,21 @@ fn geometry_bytes(scene: &Scene) -> u64 {
     bytes["vertices"].as_u64().unwrap() + bytes["indices"].as_u64().unwrap()
 }
 
+/// Bytes of the scene's skeleton, which are held whatever is drawn.
+fn skeleton_bytes(scene: &Scene) -> u64 {
+    let scene = protocol::format::read_skeleton(&scene.occ).unwrap();
+    scene.skeleton.resident_bytes()
+}
+
+/// No drawing took in more than 16 MiB of what it did not need, and some took in something.
+fn assert_besides(run: &Run, what: &str) {
+    let besides = run.column("io_besides");
+    for (frame, bytes) in besides.iter().enumerate() {
+        let bytes: u64 = bytes.parse().unwrap();
+        assert!(bytes <= 16 << 20, "{what}: {bytes} bytes besides in frame {frame}");
+    }
+}
+
 fn replay(scene: &Scene, name: &str, path: &Path, options: &[&str]) -> Run {
     let mut all = vec!["--path", text(path), "--size", "161x97"];
     all.extend(options);
@@ -31,7 +46,7 @@ fn assert_within(run: &Run, cap: u64, what: &str) {
 #[test]
 fn under_any_cap_the_pictures_are_the_same_and_the_cap_holds() {
     let scene = Scene::synth("plant", 200_000);
-    let geometry = geometry_bytes(&scene);
+    let (geometry, skeleton) = (geometry_bytes(&scene), skeleton_bytes(&scene));
     for backend in backends() {
         for kind in ["walk", "orbit", "zoom"] {
             let path = scene.path(kind, 12);
@@ -43,11 +58,12 @@ fn under_any_cap_the_pictures_are_the_same_and_the_cap_holds() {
             let whole = of("whole", &["--prefetch", "off"]);
             let mut misses = 0.0;
             for (share, prefetch) in [(2, "on"), (4, "on"), (10, "on"), (10, "off")] {
-                let cap = (geometry / share).max(2 << 20);
+                let cap = skeleton + (geometry / share).max(2 << 20);
                 let name = format!("{share}-{prefetch}");
                 let run = of(&name, &["--memory", &cap.to_string(), "--prefetch", prefetch]);
                 assert_eq!(run.hashes(), whole.hashes(), "{backend} {kind} {name}");
                 assert_within(&run, cap, &name);
+                assert_besides(&run, &name);
                 assert_eq!(run.number("/stand_ins/frames"), 0.0);
                 assert_eq!(run.number("/memory/cap"), cap as f64);
                 if prefetch == "off" {
@@ -72,9 +88,10 @@ fn a_frame_that_does_not_fit_is_drawn_in_parts() {
             replay(&scene, &format!("{backend}-{name}"), &path, &options)
         };
         let whole = of("whole", &[]);
-        let parts = of("parts", &["--memory", "2MiB"]);
+        let cap = skeleton_bytes(&scene) + (2 << 20);
+        let parts = of("parts", &["--memory", &cap.to_string()]);
         assert_eq!(parts.hashes(), whole.hashes(), "{backend}");
-        assert_within(&parts, 2 << 20, backend);
+        assert_within(&parts, cap, backend);
         // Each frame reads what the one before had to give up.
         let read = parts.number("/io/bytes_read");
         assert!(read > 2.0 * f64::from(2 << 20), "{read}");
@@ -84,7 +101,7 @@ fn a_frame_that_does_not_fit_is_drawn_in_parts() {
 #[test]
 fn with_a_deadline_nothing_is_waited_for_and_the_error_is_told() {
     let scene = Scene::synth("plant", 200_000);
-    let cap = (geometry_bytes(&scene) / 10).max(3 << 20);
+    let cap = skeleton_bytes(&scene) + (geometry_bytes(&scene) / 10).max(3 << 20);
     for backend in backends() {
         let path = scene.path("walk", 24);
         let memory = cap.to_string();
@@ -94,7 +111,8 @@ fn with_a_deadline_nothing_is_waited_for_and_the_error_is_told() {
         options.extend(["--prefetch", "off"]);
         let run = replay(&scene, &format!("{backend}-deadline"), &path, &options);
         assert_within(&run, cap, backend);
-        assert!(run.number("/io/stall_ms_max") <= 1.0, "{}", run.summary["io"]);
+        assert_eq!(run.number("/io/waits"), 0.0, "{}", run.summary["io"]);
+        assert_besides(&run, backend);
         assert_eq!(run.number("/stand_ins/holes"), 0.0);
         assert!(run.number("/stand_ins/replaced") > 0.0, "nothing was ever late: a weak test");
         let exact = replay(&scene, &format!("{backend}-exact"), &path, &["--backend", backend]);
@@ -114,7 +132,8 @@ fn with_a_deadline_nothing_is_waited_for_and_the_error_is_told() {
 #[test]
 fn an_audit_beside_a_deadline_takes_no_stand_in_for_a_lost_pixel() {
     let scene = Scene::synth("plant", 200_000);
-    let cap = (geometry_bytes(&scene) / 10).max(3 << 20).to_string();
+    let cap = skeleton_bytes(&scene) + (geometry_bytes(&scene) / 10).max(3 << 20);
+    let cap = cap.to_string();
     for backend in backends() {
         for against in ["front", "scene"] {
             let mut options = vec!["--backend", backend, "--residency", "deadline"];
@@ -137,10 +156,27 @@ fn an_audit_beside_a_deadline_takes_no_stand_in_for_a_lost_pixel() {
 }
 
 #[test]
+fn of_a_scene_that_fits_only_what_is_near_is_read() {
+    let scene = Scene::synth("plant", 200_000);
+    let (geometry, path) = (geometry_bytes(&scene), scene.path("walk", 12));
+    for backend in backends() {
+        let run = replay(&scene, &format!("{backend}-fits"), &path, &["--backend", backend]);
+        let io = |name: &str| run.number(&format!("/io/{name}"));
+        let read = io("bytes_read");
+        let used = read - io("prefetched") + io("prefetched_used");
+        // Three nodes: each would read all of it.
+        assert!(read < 1.5 * geometry as f64, "{read} bytes of 3 * {geometry}");
+        assert!(io("evicted") == 0.0 && used > 0.0, "{used} used of {read}");
+        assert_besides(&run, backend);
+    }
+}
+
+#[test]
 fn too_little_memory_is_refused_with_what_is_needed() {
     let scene = Scene::synth("plant", 20_000);
     let options = ["replay", text(&scene.occ), "--frames", "2", "--memory", "1KiB"];
     fail(&options, 78, "--memory allows 1024 bytes a node, and this scene needs at least ");
+    fail(&options, 78, "its skeleton takes ");
 }
 
 #[test]

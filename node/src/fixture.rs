@@ -81,25 +81,48 @@ fn hull(pieces: &[Piece]) -> [[f64; 3]; 2] {
 /// Writes the scene of `pieces`; each is a leaf whose item id is its place plus 1. `textured` boxes are
 /// opaque by half, and else have holes or blend.
 pub(crate) fn write(path: &Path, pieces: &[Piece], textured: bool) -> Finished {
+    write_with_textures(path, pieces, u32::from(textured))
+}
+
+/// The same with so many textures. Where there are several, each box has a mesh of its own, with two of them.
+pub(crate) fn write_with_textures(path: &Path, pieces: &[Piece], textures: u32) -> Finished {
     let mut writer = SceneWriter::create(path).unwrap();
     let (vertices, indices) = cube();
     let triangles = (indices.len() / 3) as u32;
-    let with_texture = |plain: &Vertex| TexturedVertex {
+    // Two triangles of each face begin at the corner 0, and so on: faces differ in their texture.
+    let with_texture = |place: u32, plain: &Vertex| TexturedVertex {
         plain: *plain,
         tex_coord: [plain.grid()[0] as f32 * 3.0, (plain.grid()[1] + plain.grid()[2]) as f32],
-        texture: 0,
+        texture: (place + plain.grid()[0]) % textures,
         cutoff: 0.5,
     };
-    let with_textures: Vec<TexturedVertex> = vertices.iter().map(with_texture).collect();
-    let (vertices, classes) = if textured {
-        (Vertices::Textured(&with_textures), [2, 4, 1, 2, 1, 2])
-    } else {
-        (Vertices::Plain(&vertices), Class::OpaqueDouble.all(triangles))
-    };
-    let blob = writer.add_blob([0.0; 3], 1.0, vertices, &indices, classes).unwrap().0;
-    if textured {
+    let count = if textures > 1 { pieces.len() as u32 } else { 1 };
+    for place in 0..count {
+        let with_textures: Vec<TexturedVertex> = match textures {
+            0 => Vec::new(),
+            _ => vertices.iter().map(|plain| with_texture(place, plain)).collect(),
+        };
+        let (vertices, classes) = match textures {
+            0 => (Vertices::Plain(&vertices), Class::OpaqueDouble.all(triangles)),
+            _ => (Vertices::Textured(&with_textures), [2, 4, 1, 2, 1, 2]),
+        };
+        writer.add_blob([0.0; 3], 1.0, vertices, &indices, classes).unwrap();
+    }
+    if textures == 1 {
         let pixels = [[255u8, 200, 90, 255], [40, 80, 255, 60]].as_flattened().repeat(2);
         writer.add_texture(2, [Wrap::Repeat; 2], &pixels).unwrap();
+    }
+    for texture in 0..if textures > 1 { textures } else { 0 } {
+        // Of different sides, and of colours that tell which is which.
+        let side = 16 << (texture % 3);
+        let mut noise = texture + 1;
+        let mut pixel = |_| {
+            noise = noise.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            let [_, a, b, c] = noise.to_le_bytes();
+            [(texture * 37) as u8, a, b / 2, c | 0x7f]
+        };
+        let pixels: Vec<u8> = (0..side * side).flat_map(&mut pixel).collect();
+        writer.add_texture(side, [Wrap::Repeat; 2], &pixels).unwrap();
     }
     let all = triangles * pieces.len() as u32;
     let [min, max] = hull(pieces);
@@ -125,7 +148,7 @@ pub(crate) fn write(path: &Path, pieces: &[Piece], textured: bool) -> Finished {
             triangles,
             longest_edge,
         });
-        parts.push(Part { blob, transform: place });
+        parts.push(Part { blob: place % count, transform: place });
         hlods.push(Hlod {
             min: piece.bounds[0],
             max: piece.bounds[1],

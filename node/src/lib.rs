@@ -5,10 +5,12 @@
 
 mod budget;
 pub mod choose;
+mod come;
 pub mod doctor;
 #[cfg(test)]
 mod fixture;
 mod io_thread;
+mod machine_memory;
 mod net;
 mod open;
 pub mod orphan;
@@ -161,7 +163,6 @@ impl From<RoleError> for NodeError {
     fn from(error: RoleError) -> Self {
         let kind = match &error {
             RoleError::Backend(_) => FailureKind::Unavailable,
-            RoleError::Texture(error) => error.kind(),
             RoleError::Textures | RoleError::NoRoom => FailureKind::Config,
             RoleError::IoThread => FailureKind::Internal,
             RoleError::ForeignHlod(_) => FailureKind::Protocol,

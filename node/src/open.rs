@@ -13,7 +13,7 @@ use protocol::id::BlobId;
 use protocol::message::FailureKind;
 use protocol::settings::{Far, Residency as Promise, RunSettings};
 use protocol::sun::Sun;
-use scene::backend::{Backend, Upload, light, upload_textures_of};
+use scene::backend::{Backend, Upload, light};
 use scene::front::FrontEntry;
 use scene::prefetch::Forecaster;
 use scene::stand_in::coarsest_cut;
@@ -29,7 +29,7 @@ pub(crate) struct Scene<'a> {
     pub(crate) stage: Stage<'a>,
 }
 
-/// Opens what `settings` name. `peak` follows the most bytes of geometry held.
+/// Opens what `settings` name. `peak` follows the most bytes held.
 pub(crate) fn open<'a>(
     settings: &'a RunSettings,
     peak: &Arc<AtomicU64>,
@@ -52,19 +52,24 @@ pub(crate) fn open_on<'a>(
     check_sun(settings.sun, &skeleton, settings.far)?;
     let far = Distance::open(&skeleton, settings);
     let mut backend = backend(budget.device)?;
-    upload_textures(&store, backend.as_mut())?;
+    let room = backend.declare_textures(&skeleton.textures, budget.textures);
+    if room.map_err(RoleError::from)? == Upload::Full {
+        return Err(RoleError::Textures.into());
+    }
     let RunSettings { size, lod_px, prefetch, .. } = *settings;
     let cells = Arc::clone(&far.cells);
     let forecaster = Forecaster::new(Arc::clone(&skeleton), cells, size, lod_px);
     let digest = store.digest();
     let cubes = far.field.clone();
-    let io = IoThread::start(store, Arc::clone(&skeleton), forecaster, cubes, budget.host)
-        .map_err(|error| {
+    let buffers = [budget.host, budget.reserve];
+    let io = IoThread::start(store, Arc::clone(&skeleton), forecaster, cubes, buffers).map_err(
+        |error| {
             let reason = format!("cannot start the I/O thread: {error}");
             NodeError::new(FailureKind::Unavailable, reason)
-        })?;
+        },
+    )?;
     let known = Arc::clone(&skeleton);
-    let mut loader = Loader::new(known, io, budget, drawable, prefetch, Arc::clone(peak));
+    let mut loader = Loader::new(known, io, budget, prefetch, Arc::clone(peak));
     loader.load_for_good(backend.as_mut(), &always)?;
     Ok(Scene { digest, stage: Stage::new(skeleton, backend, loader, far, settings) })
 }
@@ -146,13 +151,5 @@ fn always(skeleton: &Skeleton, promise: Promise) -> Vec<FrontEntry> {
     match promise {
         Promise::Exact => Vec::new(),
         Promise::Deadline => coarsest_cut(skeleton),
-    }
-}
-
-/// Textures come at once and stay.
-fn upload_textures(store: &Store, backend: &mut dyn Backend) -> Result<(), RoleError> {
-    match upload_textures_of::<RoleError>(store, backend)? {
-        Upload::Done => Ok(()),
-        Upload::Full => Err(RoleError::Textures),
     }
 }

@@ -1,8 +1,9 @@
-//! Which geometry the backend holds, and how it comes there: takes in what the I/O thread reads, gives
-//! up what is least needed, and draws lists whose geometry is there only in part, part by part.
+//! What the backend holds of meshes and textures, and how it comes there: takes in what the I/O thread
+//! reads, gives up what is least needed, and draws lists of which not all is there, part by part.
 
 use crate::budget::Budget;
-use crate::io_thread::{Arrival, IoThread, Order};
+use crate::come::Come;
+use crate::io_thread::{Arrival, BESIDES_BYTES, IoThread, Order, Room};
 use crate::role::RoleError;
 use crate::stream::Runs;
 use crossbeam_channel::{Receiver, TryRecvError, select};
@@ -12,6 +13,7 @@ use protocol::id::{BlobId, FrameIndex};
 use protocol::settings::Residency as Promise;
 use protocol::telemetry::IoCounts;
 use protocol::visible::VisibleSet;
+use scene::asset::{Asset, needs};
 use scene::backend::Draws;
 use scene::backend::{Backend, Part, Upload};
 use scene::front::FrontEntry;
@@ -22,22 +24,23 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Instant;
 
-/// Bytes a frame takes in of what nobody waits for.
-const UPLOAD_BYTES: u64 = 16 << 20;
-
-/// Geometry of one backend.
+/// Meshes and textures of one backend.
 pub(crate) struct Loader {
     skeleton: Arc<Skeleton>,
     io: IoThread,
+    /// Read and not with the backend yet.
+    come: Come,
     residency: Residency,
     budget: Budget,
-    /// All that may be drawn, until it is ordered as a whole.
-    drawable: Vec<BlobId>,
     prefetch: bool,
     /// The present drawing.
     now: Stamp,
-    /// Blobs that cannot be read.
+    /// The drawing that ordered last.
+    ordered: Option<Stamp>,
+    /// Blobs and textures that cannot be read, by [`Asset::index`].
     lost: Vec<bool>,
+    /// Pictures are drawn here: forecasts name textures.
+    textures: bool,
     /// The last outlook given.
     outlook: Option<Outlook>,
     trajectory: Trajectory,
@@ -47,8 +50,8 @@ pub(crate) struct Loader {
     ahead: Vec<FrameIndex>,
     /// What was visible last, as far as is known here.
     visible: Arc<VisibleSet>,
-    /// Bytes this frame may still take in of what nobody waits for.
-    upload_left: u64,
+    /// Bytes this drawing may still take in of what nobody waits for.
+    besides_left: u64,
     peak: Arc<AtomicU64>,
     counts: IoCounts,
 }
@@ -58,36 +61,46 @@ pub(crate) struct Loader {
 pub(crate) enum Drawn {
     /// All of it.
     Whole,
-    /// A blob turned out to be unreadable: the pass was ended early, and what is drawn must be chosen anew.
+    /// Something turned out to be unreadable: the pass was ended early, and what is drawn must be chosen anew.
     Lost,
 }
 
+/// What a drawing needs of the meshes it draws.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Needs {
+    /// Their shape: no texture decides whether an opaque triangle hides something.
+    Shape,
+    /// What they look like, too: their textures.
+    Look,
+}
+
 impl Loader {
-    /// Nothing is held of `drawable`, which is all that may be drawn. `peak` follows the most bytes held, buffers included.
+    /// Nothing is held. `peak` follows the most bytes held, skeleton and buffers included.
     pub(crate) fn new(
         skeleton: Arc<Skeleton>,
         io: IoThread,
         budget: Budget,
-        drawable: Vec<BlobId>,
         prefetch: bool,
         peak: Arc<AtomicU64>,
     ) -> Self {
-        let blobs = skeleton.blobs.len();
+        let (blobs, textures) = (skeleton.blobs.len(), skeleton.textures.len());
         Self {
             skeleton,
             io,
-            residency: Residency::new(blobs),
+            come: Come::default(),
+            residency: Residency::new(blobs, textures),
             budget,
-            drawable,
             prefetch,
             now: 0,
-            lost: vec![false; blobs],
+            ordered: None,
+            lost: vec![false; blobs + textures],
+            textures: false,
             outlook: None,
             trajectory: Trajectory::default(),
             drawn: None,
             ahead: Vec::new(),
             visible: Arc::new(VisibleSet::from_sorted(Vec::new())),
-            upload_left: UPLOAD_BYTES,
+            besides_left: BESIDES_BYTES,
             peak,
             counts: IoCounts::default(),
         }
@@ -104,28 +117,53 @@ impl Loader {
         std::mem::take(&mut self.counts)
     }
 
-    /// Begins another drawing: what it uses is younger than all before.
-    pub(crate) fn begin_drawing(&mut self, backend: &dyn Backend) {
+    /// Begins another drawing, which first takes in its share of what has come meanwhile: what it uses is
+    /// younger than all before.
+    pub(crate) fn begin_drawing(&mut self, backend: &mut dyn Backend) -> Result<(), RoleError> {
         self.now += 1;
-        self.upload_left = UPLOAD_BYTES;
+        self.besides_left = BESIDES_BYTES;
         self.note_peak(backend);
+        self.stalled(|own| {
+            while own.take_in_next(backend)? {}
+            Ok(())
+        })
+    }
+
+    /// Counts the time that `work` takes as waiting.
+    fn stalled<T>(
+        &mut self,
+        work: impl FnOnce(&mut Self) -> Result<T, RoleError>,
+    ) -> Result<T, RoleError> {
+        let waiting = Instant::now();
+        let done = work(self);
+        self.counts.stall_ns += waiting.elapsed().as_nanos() as u64;
+        done
     }
 
     fn note_peak(&self, backend: &dyn Backend) {
-        self.peak.fetch_max(backend.held_bytes() + self.io.pool.most(), Ordering::Relaxed);
+        let held = self.budget.skeleton + backend.held_bytes() + self.io.pool.most();
+        self.peak.fetch_max(held, Ordering::Relaxed);
     }
 
-    /// Whether a blob can be drawn: in `exact` if it can be had, in `deadline` if it is there.
-    pub(crate) fn offers(&self, blob: BlobId, promise: Promise) -> bool {
-        match promise {
-            Promise::Exact => !self.lost[blob.index()],
-            Promise::Deadline => self.residency.holds(blob),
-        }
+    fn is_lost(&self, asset: Asset) -> bool {
+        self.lost[asset.index(self.skeleton.blobs.len())]
+    }
+
+    fn is_missing(&self, asset: Asset) -> bool {
+        !self.residency.holds(asset) && !self.is_lost(asset)
+    }
+
+    /// Whether a blob can be drawn: in `exact` if all it needs can be had, in `deadline` if it is there.
+    pub(crate) fn offers(&self, blob: BlobId, promise: Promise, what: Needs) -> bool {
+        needs(&self.skeleton, blob, what == Needs::Look).all(|asset| match promise {
+            Promise::Exact => !self.is_lost(asset),
+            Promise::Deadline => self.residency.holds(asset),
+        })
     }
 
     /// Whether all of a level can be drawn.
-    pub(crate) fn offers_level(&self, level: u32, promise: Promise) -> bool {
-        self.skeleton.blobs_of(level).all(|blob| self.offers(blob, promise))
+    pub(crate) fn offers_level(&self, level: u32, promise: Promise, what: Needs) -> bool {
+        self.skeleton.blobs_of(level).all(|blob| self.offers(blob, promise, what))
     }
 
     /// Loads what is to stay for good.
@@ -134,57 +172,68 @@ impl Loader {
         backend: &mut dyn Backend,
         entries: &[FrontEntry],
     ) -> Result<(), RoleError> {
-        let blobs = self.blobs_of(entries);
-        self.io.fetch(blobs.clone());
-        let is_missing =
-            |own: &Self, blob: &BlobId| !own.residency.holds(*blob) && !own.lost[blob.index()];
-        while blobs.iter().any(|blob| is_missing(self, blob)) {
+        let blobs = entries.iter().flat_map(|entry| self.skeleton.blobs_of(entry.level));
+        let mut assets: Vec<Asset> =
+            blobs.flat_map(|blob| needs(&self.skeleton, blob, true)).collect();
+        assets.sort_unstable();
+        assets.dedup();
+        self.fetch(assets.clone());
+        while assets.iter().any(|&asset| self.is_missing(asset)) {
             let arrival = self.io.wait().ok_or(RoleError::IoThread)?;
-            self.take_in(backend, arrival)?;
+            if let Some(arrival) = self.readable(arrival) {
+                self.take_in(backend, arrival)?;
+            }
         }
-        for blob in blobs {
-            if self.residency.holds(blob) {
-                self.residency.touch(blob, Stamp::MAX);
+        for asset in assets {
+            if self.residency.holds(asset) {
+                self.residency.touch(asset, Stamp::MAX);
             }
         }
         Ok(())
     }
 
-    fn blobs_of(&self, entries: &[FrontEntry]) -> Vec<BlobId> {
-        let of_entry = |entry: &FrontEntry| self.skeleton.blobs_of(entry.level);
-        let mut blobs: Vec<BlobId> = entries.iter().flat_map(of_entry).collect();
-        blobs.sort_unstable();
-        blobs.dedup();
-        blobs
-    }
-
-    /// Orders those of `blobs` that are not there, and does not wait for them.
-    pub(crate) fn order_missing(&mut self, blobs: impl IntoIterator<Item = BlobId>) {
-        let is_missing = |blob: &BlobId| !self.residency.holds(*blob) && !self.lost[blob.index()];
-        let mut blobs: Vec<BlobId> = blobs.into_iter().filter(is_missing).collect();
-        blobs.sort_unstable();
-        blobs.dedup();
-        if !blobs.is_empty() {
-            self.counts.misses += blobs.len() as u64;
-            self.io.fetch(blobs);
+    /// Orders what `blobs` need and is not there, and does not wait for it but for the thread to hear it.
+    pub(crate) fn order_missing(&mut self, blobs: impl IntoIterator<Item = BlobId>, what: Needs) {
+        let (skeleton, with_textures) = (Arc::clone(&self.skeleton), what == Needs::Look);
+        let all = blobs.into_iter().flat_map(|blob| needs(&skeleton, blob, with_textures));
+        let mut assets: Vec<Asset> = all.filter(|&asset| self.is_missing(asset)).collect();
+        assets.sort_unstable();
+        assets.dedup();
+        if !assets.is_empty() {
+            self.counts.misses += assets.len() as u64;
+            let waiting = Instant::now();
+            self.fetch(assets);
+            self.counts.stall_ns += waiting.elapsed().as_nanos() as u64;
         }
     }
 
-    /// Draws a list in its order, in one part where all its geometry is there; else it draws what comes
-    /// before the first blob that is missing, waits, and goes on. So the picture is that of one part.
+    /// Gives a fetch command; the first of a drawing takes the place of what the last one ordered.
+    fn fetch(&mut self, assets: Vec<Asset>) {
+        let replaces = self.ordered.replace(self.now) != Some(self.now);
+        self.io.fetch(assets, replaces);
+    }
+
+    /// Draws a list in its order, in one part where all it needs is there; else it draws what comes before
+    /// the first that is missing, waits, and goes on. So the picture is that of one part.
     pub(crate) fn stream(
         &mut self,
         backend: &mut dyn Backend,
         draws: &Draws,
+        what: Needs,
         mut submit: impl FnMut(&mut dyn Backend, Draws, Part) -> Result<(), RoleError>,
     ) -> Result<Drawn, RoleError> {
-        let mut runs = Runs::new(draws);
+        let (skeleton, with_textures) = (Arc::clone(&self.skeleton), what == Needs::Look);
+        self.textures |= with_textures;
+        let mut runs = Runs::new(draws, |blob| needs(&skeleton, blob, with_textures));
         self.count_needs(&runs);
-        let mut opens = true;
+        let (mut opens, mut is_fresh) = (true, false);
         loop {
-            let ready = runs.ready(|blob| self.residency.holds(blob));
+            let ready = runs.ready(|asset| self.residency.holds(asset));
             let closes = ready.end == runs.len();
             if closes || !ready.is_empty() {
+                if std::mem::take(&mut is_fresh) {
+                    self.stalled(|_| Ok(backend.settle()?))?;
+                }
                 submit(backend, runs.draws(ready.clone()), Part { opens, closes })?;
                 opens = false;
                 runs.advance(ready.end);
@@ -192,29 +241,24 @@ impl Loader {
             if closes {
                 return Ok(Drawn::Whole);
             }
-            if runs.next_blob().is_some_and(|blob| self.lost[blob.index()]) {
+            if runs.next_needs().iter().any(|&asset| self.is_lost(asset)) {
                 submit(backend, Draws::default(), Part { opens, closes: true })?;
                 return Ok(Drawn::Lost);
             }
-            let waiting = Instant::now();
-            let arrival = self.next_arrival(&mut runs)?;
-            self.counts.stall_ns += waiting.elapsed().as_nanos() as u64;
-            self.take_in_for(backend, arrival, &mut runs)?;
-            while let Ok(arrival) = self.io.arrivals.try_recv() {
-                self.take_in_for(backend, arrival, &mut runs)?;
-            }
+            self.stalled(|own| own.load_next(backend, &mut runs))?;
+            is_fresh = true;
         }
     }
 
     /// Counts hits, misses and events, and marks what is there as used.
     fn count_needs(&mut self, runs: &Runs<'_>) {
-        for blob in runs.blobs() {
-            if !self.residency.holds(blob) {
+        for asset in runs.assets() {
+            if !self.residency.holds(asset) {
                 self.counts.misses += 1;
                 self.counts.events += 1;
                 continue;
             }
-            let Use { before, foreseen } = self.residency.touch(blob, self.now);
+            let Use { before, foreseen } = self.residency.touch(asset, self.now);
             if before == self.now {
                 continue;
             }
@@ -223,19 +267,73 @@ impl Loader {
             self.counts.events += u64::from(is_event);
             self.counts.events_foreseen += u64::from(is_event);
             if foreseen {
-                self.counts.prefetched_used += self.skeleton.blob(blob).bytes;
+                self.counts.prefetched_used += asset.file_bytes(&self.skeleton);
             }
         }
     }
 
-    /// Orders as much of what is missing as buffers hold, and waits for what comes first.
-    fn next_arrival(&mut self, runs: &mut Runs<'_>) -> Result<Arrival, RoleError> {
-        let bytes = |blob: BlobId| self.skeleton.blob(blob).bytes;
-        let orders = runs.next_orders(self.budget.host, bytes, |blob| self.residency.holds(blob));
+    /// Orders as much of what is missing as buffers hold, waits for one of it, and takes in all of it that
+    /// has come: no more than that, whatever else has come with it.
+    fn load_next(
+        &mut self,
+        backend: &mut dyn Backend,
+        runs: &mut Runs<'_>,
+    ) -> Result<(), RoleError> {
+        let bytes = |asset: Asset| asset.file_bytes(&self.skeleton);
+        let mut orders =
+            runs.next_orders(self.budget.host, bytes, |asset| self.residency.holds(asset));
+        let here: Vec<Asset> = orders.extract_if(.., |asset| self.come.has(*asset)).collect();
         if !orders.is_empty() {
-            self.io.fetch(orders);
+            self.fetch(orders);
         }
-        self.io.wait().ok_or(RoleError::IoThread)
+        let was_here = !here.is_empty();
+        for arrival in
+            here.into_iter().filter_map(|asset| self.come.take(asset)).collect::<Vec<_>>()
+        {
+            self.take_in_for(backend, arrival, runs)?;
+        }
+
+        if !self.take_what_came(backend, runs)? && !was_here {
+            // What nobody waits for any more leaves its buffers to what is waited for.
+            for asset in self.come.drop_fetched() {
+                self.io.claims.clear(asset);
+            }
+            self.counts.waits += 1;
+            let arrival = self.io.wait().ok_or(RoleError::IoThread)?;
+            self.take_or_keep(backend, arrival, runs)?;
+            self.take_what_came(backend, runs)?;
+        }
+        Ok(())
+    }
+
+    /// Takes in all that a list waits for of what has come; whether anything.
+    fn take_what_came(
+        &mut self,
+        backend: &mut dyn Backend,
+        runs: &mut Runs<'_>,
+    ) -> Result<bool, RoleError> {
+        let mut any = false;
+        while runs.lacks(|asset| self.residency.holds(asset)) {
+            let Ok(arrival) = self.io.arrivals.try_recv() else { break };
+            any |= self.take_or_keep(backend, arrival, runs)?;
+        }
+        Ok(any)
+    }
+
+    /// Takes in an arrival that a list waits for; another is kept for later. Whether it was waited for.
+    fn take_or_keep(
+        &mut self,
+        backend: &mut dyn Backend,
+        arrival: Arrival,
+        runs: &mut Runs<'_>,
+    ) -> Result<bool, RoleError> {
+        let is_wanted = runs.arrived(arrival.asset);
+        match self.readable(arrival) {
+            Some(arrival) if is_wanted => self.take_in_for(backend, arrival, runs)?,
+            Some(arrival) => self.come.keep(arrival),
+            None => {}
+        }
+        Ok(is_wanted)
     }
 
     /// Takes in what a list waits for, at the cost of what the list has drawn or draws last.
@@ -245,61 +343,74 @@ impl Loader {
         arrival: Arrival,
         runs: &mut Runs<'_>,
     ) -> Result<(), RoleError> {
-        let blob = arrival.blob;
-        let is_wanted = runs.arrived(blob);
-        if !is_wanted {
-            return self.take_in(backend, arrival);
+        let asset = arrival.asset;
+        runs.arrived(asset);
+        let is_next = runs.next_needs().contains(&asset);
+        if runs.needs_order() && !is_next {
+            return self.put_off(asset, runs);
         }
-        let Some(bytes) = self.readable(&arrival) else { return Ok(()) };
-        while !self.upload(backend, blob, bytes, false)? {
-            let older = self.spare().or_else(|| self.residency.older_than(self.now).next());
-            match older.or_else(|| runs.victim(blob, |blob| self.residency.holds(blob))) {
+        while !self.upload(backend, &arrival, false)? {
+            let own = |other: &Asset| other.is_texture() == asset.is_texture();
+            let older = self.residency.older_than(self.now).find(own);
+            let older = self.spare(asset).or(older);
+            match older.or_else(|| runs.victim(asset, |other| self.residency.holds(other))) {
                 Some(victim) => self.give_up(backend, victim),
-                None if runs.next_blob() == Some(blob) => return Err(RoleError::NoRoom),
-                None => {
-                    // Its turn comes later.
-                    runs.forget(blob);
-                    self.io.claims.clear(blob);
-                    return Ok(());
-                }
+                None if is_next => self.make_whole(backend, asset, runs)?,
+                None => return self.put_off(asset, runs),
             }
         }
         Ok(())
     }
 
-    /// Takes in what nothing waits for, where there is room or something less likely to be needed.
-    fn take_in(&mut self, backend: &mut dyn Backend, arrival: Arrival) -> Result<(), RoleError> {
-        let blob = arrival.blob;
-        let Some(bytes) = self.readable(&arrival) else { return Ok(()) };
-        self.upload_left = self.upload_left.saturating_sub(bytes.len() as u64);
-        while !self.upload(backend, blob, bytes, arrival.foreseen)? {
-            let Some(victim) = self.spare() else {
-                self.io.claims.clear(blob);
-                return Ok(());
-            };
-            self.give_up(backend, victim);
-        }
+    /// Gives back what has come too early: its turn comes later.
+    fn put_off(&mut self, asset: Asset, runs: &mut Runs<'_>) -> Result<(), RoleError> {
+        runs.forget(asset);
+        self.io.claims.clear(asset);
         Ok(())
     }
 
-    /// The least recently used blob that the present drawing does not use and no forecast names.
-    fn spare(&self) -> Option<BlobId> {
-        self.residency.older_than(self.now).find(|&blob| !self.io.likely.has(blob))
+    /// What is free for a texture lies in pieces, between textures of the same mesh: gives those up, too, and
+    /// has them come again one after the other, with nothing between them.
+    fn make_whole(
+        &mut self,
+        backend: &mut dyn Backend,
+        asset: Asset,
+        runs: &mut Runs<'_>,
+    ) -> Result<(), RoleError> {
+        let needs = runs.next_needs().iter().copied();
+        let beside = needs.filter(|other| other.is_texture() && self.residency.holds(*other));
+        let beside: Vec<Asset> =
+            beside.filter(|&other| !self.residency.is_for_good(other)).collect();
+        if !asset.is_texture() || beside.is_empty() {
+            return Err(RoleError::NoRoom);
+        }
+        for other in beside {
+            self.give_up(backend, other);
+        }
+        runs.bring_in_order();
+        Ok(())
     }
 
-    /// The bytes of an arrival, which are counted; none of one that could not be read, which is said.
-    fn readable<'b>(&mut self, arrival: &'b Arrival) -> Option<&'b [u8]> {
+    /// The least recently used of the kind of `asset` that the present drawing does not use and no forecast
+    /// names.
+    fn spare(&self, asset: Asset) -> Option<Asset> {
+        let mut older = self.residency.older_than(self.now);
+        older.find(|&old| old.is_texture() == asset.is_texture() && !self.io.likely.has(old))
+    }
+
+    /// Counts what has come. None of what could not be read, which is said.
+    fn readable(&mut self, arrival: Arrival) -> Option<Arrival> {
         match &arrival.bytes {
             Ok(bytes) => {
                 self.counts.bytes_read += bytes.len() as u64;
                 if arrival.foreseen {
                     self.counts.prefetched += bytes.len() as u64;
                 }
-                Some(bytes)
+                Some(arrival)
             }
             Err(error) => {
                 tracing::warn!("{error}; something coarser is shown");
-                self.lost[arrival.blob.index()] = true;
+                self.lost[arrival.asset.index(self.skeleton.blobs.len())] = true;
                 self.counts.faults += 1;
                 None
             }
@@ -310,36 +421,76 @@ impl Loader {
     fn upload(
         &mut self,
         backend: &mut dyn Backend,
-        blob: BlobId,
-        bytes: &[u8],
+        arrival: &Arrival,
         foreseen: bool,
     ) -> Result<bool, RoleError> {
-        if backend.upload(blob, self.skeleton.blob(blob), bytes)? == Upload::Full {
+        let bytes = arrival.bytes.as_ref().expect("only what was read is kept");
+        let upload = match arrival.asset {
+            Asset::Blob(id) => backend.upload(id, self.skeleton.blob(id), bytes)?,
+            Asset::Texture(index) => backend.upload_texture(index, bytes)?,
+        };
+        if upload == Upload::Full {
             return Ok(false);
         }
-        self.residency.insert(blob, self.now, foreseen);
+        // What nobody waits for is no part of the present drawing, which may give it up.
+        let used = if foreseen { self.now.saturating_sub(1) } else { self.now };
+        self.residency.insert(arrival.asset, used, foreseen);
         self.note_peak(backend);
         Ok(true)
     }
 
-    fn give_up(&mut self, backend: &mut dyn Backend, blob: BlobId) {
-        backend.evict(blob);
-        self.residency.remove(blob);
-        self.io.claims.clear(blob);
-        self.counts.evicted += self.skeleton.blob(blob).bytes;
+    /// Evicts something that is held.
+    pub(crate) fn give_up(&mut self, backend: &mut dyn Backend, asset: Asset) {
+        match asset {
+            Asset::Blob(id) => backend.evict(id),
+            Asset::Texture(index) => backend.evict_texture(index),
+        }
+        self.residency.remove(asset);
+        self.io.claims.clear(asset);
+        self.counts.evicted += asset.stored_bytes(&self.skeleton);
     }
 
-    /// Takes in what has come meanwhile, within this frame's share.
-    pub(crate) fn take_in_all(&mut self, backend: &mut dyn Backend) -> Result<(), RoleError> {
-        while self.upload_left > 0 {
-            let Ok(arrival) = self.io.arrivals.try_recv() else { break };
-            self.take_in(backend, arrival)?;
+    /// Moves all that has come to this side of the channel.
+    fn look_at_arrivals(&mut self) {
+        while let Ok(arrival) = self.io.arrivals.try_recv() {
+            if let Some(arrival) = self.readable(arrival) {
+                self.come.keep(arrival);
+            }
+        }
+    }
+
+    /// Takes in the next of what has come that no list waits for, where this drawing's share has room for it
+    /// and the backend, or something less likely to be needed gives way. Whether there may be more.
+    fn take_in_next(&mut self, backend: &mut dyn Backend) -> Result<bool, RoleError> {
+        self.look_at_arrivals();
+        let Some(next) = self.come.next() else { return Ok(false) };
+        let bytes = next.asset.stored_bytes(&self.skeleton);
+        // Something large that was fetched comes alone: it is what some drawing lacked.
+        let comes_alone = !next.foreseen && self.besides_left == BESIDES_BYTES;
+        if bytes > self.besides_left && !comes_alone {
+            return Ok(false);
+        }
+        let arrival = self.come.take_next().expect("it was there");
+        self.besides_left = self.besides_left.saturating_sub(bytes);
+        self.counts.besides += if arrival.foreseen { bytes } else { 0 };
+        self.take_in(backend, arrival)?;
+        Ok(true)
+    }
+
+    /// Takes in what nothing waits for, where there is room or something less likely to be needed.
+    fn take_in(&mut self, backend: &mut dyn Backend, arrival: Arrival) -> Result<(), RoleError> {
+        while !self.upload(backend, &arrival, arrival.foreseen)? {
+            let Some(victim) = self.spare(arrival.asset) else {
+                self.io.claims.clear(arrival.asset);
+                return Ok(());
+            };
+            self.give_up(backend, victim);
         }
         Ok(())
     }
 
-    /// Waits for a job, and takes in what comes meanwhile, within this frame's share. None once there
-    /// are no more jobs.
+    /// Waits for a job, and takes in what comes meanwhile, within this drawing's share. None once there are
+    /// no more jobs. A job that had to wait for that counts the time.
     pub(crate) fn take_in_until<J>(
         &mut self,
         backend: &mut dyn Backend,
@@ -349,14 +500,24 @@ impl Loader {
             match jobs.try_recv() {
                 Ok(job) => return Ok(Some(job)),
                 Err(TryRecvError::Disconnected) => return Ok(None),
-                Err(TryRecvError::Empty) if self.upload_left == 0 => return Ok(jobs.recv().ok()),
                 Err(TryRecvError::Empty) => {}
+            }
+            let started = Instant::now();
+            if self.take_in_next(backend)? {
+                let waited = if jobs.is_empty() { 0 } else { started.elapsed().as_nanos() };
+                self.counts.stall_ns += waited as u64;
+                continue;
+            }
+            if self.come.next().is_some() {
+                // This drawing's share is used up.
+                return Ok(jobs.recv().ok());
             }
             select! {
                 recv(jobs) -> job => return Ok(job.ok()),
                 recv(self.io.arrivals) -> arrival => {
                     let arrival = arrival.map_err(|_| RoleError::IoThread)?;
-                    self.take_in(backend, arrival)?;
+                    let read = self.readable(arrival);
+                    self.come.extend(read);
                 }
             }
         }
@@ -364,7 +525,7 @@ impl Loader {
 
     /// Learns the camera of a frame and which frames are to be drawn here next, and has read ahead what
     /// that lets expect: at first the front of the first camera, before anybody knows what of it is
-    /// visible, and where the scene fits, all the rest. A node that never draws never loads.
+    /// visible. A node that never draws never loads.
     pub(crate) fn look_ahead(
         &mut self,
         newest: Option<(FrameIndex, Camera)>,
@@ -374,11 +535,7 @@ impl Loader {
             self.trajectory.note(frame, camera);
         }
         self.ahead = ahead;
-        let is_first = self.outlook.is_none();
         self.foresee();
-        if is_first && self.outlook.is_some() && self.budget.fits {
-            self.io.foresee(Order::Everything(std::mem::take(&mut self.drawable)));
-        }
     }
 
     /// Learns what is visible in a frame, which is drawn if that was to be done here, and has read ahead
@@ -392,9 +549,8 @@ impl Loader {
         self.foresee();
     }
 
-    /// A scene that fits is on its way as a whole from the first outlook on, and no word is lost.
     fn foresee(&mut self) {
-        if !self.prefetch || (self.budget.fits && self.outlook.is_some()) {
+        if !self.prefetch {
             return;
         }
         let next = self.ahead.iter().take(LOOKED_AHEAD);
@@ -407,10 +563,17 @@ impl Loader {
             return;
         }
         // What the present drawing uses stays; the rest makes room.
-        let in_use: Vec<BlobId> = self.residency.used_since(self.now).collect();
-        let used = in_use.iter().map(|&blob| self.skeleton.blob(blob).bytes);
-        let room = self.budget.device.saturating_sub(used.sum());
-        self.io.foresee(Order::Foresee { outlook: outlook.clone(), in_use, room });
+        let in_use: Vec<Asset> = self.residency.used_since(self.now).collect();
+        let mut room = Room {
+            blobs: self.budget.device - self.budget.textures,
+            textures: self.budget.textures,
+        };
+        for asset in &in_use {
+            let of_kind = if asset.is_texture() { &mut room.textures } else { &mut room.blobs };
+            *of_kind = of_kind.saturating_sub(asset.stored_bytes(&self.skeleton));
+        }
+        let textures = self.textures;
+        self.io.foresee(Order::Foresee { outlook: outlook.clone(), in_use, room, textures });
         self.outlook = Some(outlook);
     }
 }
@@ -419,3 +582,6 @@ impl Loader {
 fn says_as_much(last: &Outlook, new: &Outlook) -> bool {
     Arc::ptr_eq(&last.visible, &new.visible) && last.ahead[0] == new.ahead[0]
 }
+
+#[cfg(test)]
+mod tests;

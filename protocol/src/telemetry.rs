@@ -89,28 +89,33 @@ pub struct Missing {
     pub error_px: f64,
 }
 
-/// Loading of geometry in one phase. A blob that several draws share counts once.
+/// Loading of meshes and textures in one phase. One that several draws share counts once.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct IoCounts {
-    /// Blobs needed that were already with the backend.
+    /// Of those needed, how many were already with the backend.
     pub hits: u64,
-    /// Blobs needed that were not.
+    /// How many were not.
     pub misses: u64,
-    /// Time waited for them.
+    /// How often a drawing waited for one to be read.
+    pub waits: u64,
+    /// Time that work of the phase waited because of loading: reading, uploads, the device's memory for them
+    /// and what was drawn before that, hand-overs to the thread that reads.
     pub stall_ns: Nanos,
+    /// Bytes that the drawing uploaded of what it did not need: 16 MiB at most.
+    pub besides: u64,
     /// Bytes read, prefetched ones included.
     pub bytes_read: u64,
     /// Bytes read before they were needed.
     pub prefetched: u64,
     /// Of those, bytes needed later, counted when they are.
     pub prefetched_used: u64,
-    /// Blobs needed that the drawing before did not need: the events of a front.
+    /// Of those needed, how many the drawing before did not need: the events of a front.
     pub events: u64,
     /// Of those, there in time.
     pub events_foreseen: u64,
     /// Bytes given up to make room.
     pub evicted: u64,
-    /// Blobs that cannot be read.
+    /// Meshes and textures that cannot be read.
     pub faults: u64,
 }
 
@@ -139,7 +144,7 @@ pub struct PhaseReport {
     pub io: IoCounts,
     /// Highest resident set size of the process so far, bytes.
     pub peak_rss: u64,
-    /// Most bytes of geometry and textures held so far, buffers on their way included.
+    /// Most bytes of skeleton, geometry and textures held so far, buffers on their way included.
     pub peak_resident: u64,
 }
 

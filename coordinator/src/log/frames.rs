@@ -89,25 +89,29 @@ pub struct FrameRow {
     pub holes: u32,
     /// Pixels by which the picture strays at most where something stood in.
     pub stand_in_error_px: f64,
-    /// Blobs that were there when needed, all nodes.
+    /// Meshes and textures that were there when needed, all nodes.
     pub io_hits: u64,
-    /// Blobs that had to be read, all nodes.
+    /// Meshes and textures that had to be read, all nodes.
     pub io_misses: u64,
-    /// Longest wait for them of any node.
+    /// How often a drawing waited for one to be read, all nodes.
+    pub io_waits: u64,
+    /// Longest wait because of loading of any node.
     pub io_stall_ms: f64,
+    /// Most bytes that a drawing of any node uploaded of what it did not need.
+    pub io_besides: u64,
     /// Bytes read, all nodes.
     pub io_bytes_read: u64,
     /// Of those, read before they were needed.
     pub io_prefetched: u64,
     /// Bytes read ahead that were needed for the first time, all nodes.
     pub io_prefetched_used: u64,
-    /// Blobs needed that the drawing before had not needed, all nodes.
+    /// Of those needed, how many the drawing before had not needed, all nodes.
     pub io_events: u64,
     /// Of those, there in time.
     pub io_events_foreseen: u64,
     /// Bytes given up to make room, all nodes.
     pub io_evicted: u64,
-    /// Blobs that turned out to be unreadable, all nodes.
+    /// Meshes and textures that turned out to be unreadable, all nodes.
     pub io_faults: u64,
     /// Hash of the picture.
     pub picture_hash: String,
@@ -191,6 +195,8 @@ fn row(lookup: &Lookup<'_>, frame: u32, hlods: u64) -> Option<FrameRow> {
     for io in rvg_phase.reports.iter().map(|(_, report)| report.io) {
         row.io_hits += io.hits;
         row.io_misses += io.misses;
+        row.io_waits += io.waits;
+        row.io_besides = row.io_besides.max(io.besides);
         row.io_stall_ms = row.io_stall_ms.max(ms(io.stall_ns as i64));
         row.io_bytes_read += io.bytes_read;
         row.io_prefetched += io.prefetched;

@@ -95,7 +95,11 @@ pub fn html(summary: &Summary, rows: &[FrameRow], frames_dir: &Path) -> String {
             "count",
             &[curve("there", |r| r.io_hits as f64), curve("missing", |r| r.io_misses as f64)],
         ),
-        plot("Waiting for geometry", "ms", &[curve("longest of any node", |r| r.io_stall_ms)]),
+        plot(
+            "Waiting because of loading",
+            "ms",
+            &[curve("longest of any node", |r| r.io_stall_ms)],
+        ),
         plot(
             "Error of what stood in for missing geometry",
             "pixels",

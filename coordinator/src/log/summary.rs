@@ -128,14 +128,16 @@ pub struct StandIns {
     pub error_px: f64,
 }
 
-/// Geometry loaded, all nodes. A blob that several draws share counts once a drawing.
+/// Meshes and textures loaded, all nodes. One that several draws share counts once a drawing.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Io {
     /// There when needed.
     pub hits: u64,
     /// Read when needed.
     pub misses: u64,
-    /// Sum over frames of the longest wait of any node.
+    /// How often a drawing waited for one to be read.
+    pub waits: u64,
+    /// Sum over frames of the longest wait because of loading of any node.
     pub stall_ms: f64,
     /// Bytes read.
     pub bytes_read: u64,
@@ -143,16 +145,18 @@ pub struct Io {
     pub prefetched: u64,
     /// Of those, needed later.
     pub prefetched_used: u64,
-    /// Blobs needed that the drawing before had not needed.
+    /// Needed and not needed by the drawing before.
     pub events: u64,
     /// Of those, there in time.
     pub events_foreseen: u64,
     /// Bytes given up to make room.
     pub evicted: u64,
-    /// Blobs that cannot be read: something coarser was shown.
+    /// Meshes and textures that cannot be read: something coarser was shown.
     pub faults: u64,
-    /// Longest wait for geometry in one frame.
+    /// Longest wait because of loading in one frame.
     pub stall_ms_max: f64,
+    /// Most bytes that a drawing uploaded of what it did not need.
+    pub besides_max: u64,
 }
 
 /// Bytes by process, in the order of `pids`.
@@ -284,6 +288,7 @@ pub fn summarise(record: &RunRecord, scene: &SceneFacts, rows: &[FrameRow]) -> S
         io: Io {
             hits: rows.iter().map(|row| row.io_hits).sum(),
             misses: rows.iter().map(|row| row.io_misses).sum(),
+            waits: rows.iter().map(|row| row.io_waits).sum(),
             stall_ms: rows.iter().map(|row| row.io_stall_ms).sum(),
             bytes_read: rows.iter().map(|row| row.io_bytes_read).sum(),
             prefetched: rows.iter().map(|row| row.io_prefetched).sum(),
@@ -293,6 +298,7 @@ pub fn summarise(record: &RunRecord, scene: &SceneFacts, rows: &[FrameRow]) -> S
             evicted: rows.iter().map(|row| row.io_evicted).sum(),
             faults: rows.iter().map(|row| row.io_faults).sum(),
             stall_ms_max: rows.iter().map(|row| row.io_stall_ms).fold(0.0, f64::max),
+            besides_max: rows.iter().map(|row| row.io_besides).max().unwrap_or(0),
         },
         residency: record.settings.residency,
         stand_ins: stand_ins(rows),

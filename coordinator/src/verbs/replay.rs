@@ -87,7 +87,7 @@ pub(crate) struct RunOptions {
     /// png or off
     #[arg(long, env = "OCCLUSTER_PICTURES", value_parser = word::<Pictures>)]
     pub(super) pictures: Option<Pictures>,
-    /// Most memory for geometry and textures, for each process: 64MiB, 1GiB [default: an eighth of the
+    /// Most memory for skeleton, geometry and textures, for each process: 64MiB, 1GiB [default: an eighth of the
     /// machine's for each node]
     #[arg(long, value_name = "BYTES", env = "OCCLUSTER_MEMORY")]
     pub(super) memory: Option<Bytes>,

@@ -7,6 +7,7 @@ use glam::DVec3;
 use protocol::camera::Camera;
 use protocol::id::BlobId;
 use protocol::settings::PictureSize;
+use scene::asset::Asset;
 use scene::backend::{
     Backend, BackendError, Completion, Draw, Draws, Part, Pass, Picture, Shading, Upload, View,
     upload_textures_of,
@@ -59,7 +60,7 @@ impl<'a> Studio<'a> {
         if upload_textures_of::<CaptureError>(store, backend.as_mut())? == Upload::Full {
             return Err(CaptureError::Textures);
         }
-        let residency = Residency::new(store.skeleton().blobs.len());
+        let residency = Residency::new(store.skeleton().blobs.len(), 0);
         Ok(Self { store, backend, side, near_plane, takes_normals: false, residency, now: 0 })
     }
 
@@ -135,28 +136,35 @@ impl<'a> Studio<'a> {
     /// Makes sure that a blob is there: at the cost of those this face does not use, else by drawing what
     /// is pending and giving up what that used.
     fn hold(&mut self, blob: BlobId, pending: &mut Pending) -> Result<(), CaptureError> {
-        if self.residency.holds(blob) {
-            self.residency.touch(blob, self.now);
+        let asset = Asset::Blob(blob);
+        if self.residency.holds(asset) {
+            self.residency.touch(asset, self.now);
             return Ok(());
         }
         let bytes = self.store.load_blob(blob)?;
         let record = self.store.skeleton().blob(blob);
         while self.backend.upload(blob, record, &bytes)? == Upload::Full {
-            let older = self.residency.older_than(self.now).next();
-            let victim = match older {
+            let victim = match self.oldest() {
                 Some(victim) => victim,
                 None => {
                     self.backend.submit(pending.pass(false))?;
                     self.now += 1;
-                    let drawn = self.residency.older_than(self.now).next();
-                    drawn.ok_or(CaptureError::NoRoom(blob))?
+                    self.oldest().ok_or(CaptureError::NoRoom(blob))?
                 }
             };
             self.backend.evict(victim);
-            self.residency.remove(victim);
+            self.residency.remove(Asset::Blob(victim));
         }
-        self.residency.insert(blob, self.now, false);
+        self.residency.insert(asset, self.now, false);
         Ok(())
+    }
+
+    /// The blob that has not been used for longest, and not by this face.
+    fn oldest(&self) -> Option<BlobId> {
+        self.residency.older_than(self.now).find_map(|asset| match asset {
+            Asset::Blob(id) => Some(id),
+            Asset::Texture(_) => None,
+        })
     }
 }
 

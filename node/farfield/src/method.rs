@@ -117,6 +117,7 @@ mod tests {
             blobs,
             transforms: vec![],
             textures: vec![],
+            texture_lists: vec![],
             view_cells,
             cubes,
         }

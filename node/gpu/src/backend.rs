@@ -13,13 +13,13 @@ use crate::staging::Staging;
 use crate::stream_buffer::StreamBuffer;
 use crate::targets::{NOTHING_IN_FRONT, Targets, read_depth, written_depth};
 use crate::textures::{Arranged, Textures};
-use protocol::format::Blob;
+use protocol::format::{Blob, Texture};
 use protocol::id::BlobId;
 use protocol::settings::{Cull, PictureSize};
 use protocol::telemetry::BackendInfo;
 use scene::backend::{
-    Backend, BackendError, BoxQuery, Completion, Draw, NO_ITEM, Pass, Shading, TextureUpload,
-    Ticket, UNLIMITED, UnderWay, Upload, View, light, normal,
+    Backend, BackendError, BoxQuery, Completion, Draw, NO_ITEM, Pass, Shading, Ticket, UNLIMITED,
+    UnderWay, Upload, View, light, normal,
 };
 use scene::occludee::{Precision, Rules};
 use shaders::mirror::Frame;
@@ -317,8 +317,12 @@ impl Backend for WgpuBackend {
         self.memory.held_bytes() + self.textures.held_bytes()
     }
 
-    fn upload_textures(&mut self, textures: &[TextureUpload<'_>]) -> Result<Upload, BackendError> {
-        let arranged = Arranged::new(&self.device, textures)?;
+    fn declare_textures(
+        &mut self,
+        textures: &[Texture],
+        room: u64,
+    ) -> Result<Upload, BackendError> {
+        let arranged = Arranged::new(&self.device, textures, room)?;
         let left = |held| self.budget.saturating_sub(held);
         if left(self.memory.used_bytes()) < arranged.bytes() {
             return Ok(Upload::Full);
@@ -326,9 +330,26 @@ impl Backend for WgpuBackend {
         if left(self.memory.held_bytes()) < arranged.bytes() {
             self.memory.release_unused(&self.device)?;
         }
-        self.textures.upload(&self.device, &mut self.staging, arranged, textures)?;
+        self.textures.declare(&self.device, textures, arranged)?;
         self.device.fault.check()?;
         Ok(Upload::Done)
+    }
+
+    fn upload_texture(&mut self, index: u32, bytes: &[u8]) -> Result<Upload, BackendError> {
+        let upload = self.textures.upload(&self.device, &mut self.staging, index, bytes)?;
+        self.device.fault.check()?;
+        Ok(upload)
+    }
+
+    fn evict_texture(&mut self, index: u32) {
+        self.textures.evict(index);
+    }
+
+    fn settle(&mut self) -> Result<(), BackendError> {
+        // Writes go with the next submission.
+        self.device.queue.submit([]);
+        self.device.wait_for(None)?;
+        self.device.fault.check()
     }
 
     fn upload(&mut self, id: BlobId, blob: &Blob, bytes: &[u8]) -> Result<Upload, BackendError> {

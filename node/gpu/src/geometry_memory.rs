@@ -21,8 +21,9 @@ use std::ops::Range;
 
 /// Bytes of the first buffer; each further one is as large as all before it together.
 const FIRST_CHUNK_BYTES: u64 = 4 << 20;
-/// Largest buffer, unless one blob needs more.
-const LARGEST_CHUNK_BYTES: u64 = 64 << 20;
+/// Largest buffer, unless one blob needs more: the first pass that uses it waits until the system has given
+/// and cleared all of it, so it is no larger than what a drawing may take in besides what it lacks.
+const LARGEST_CHUNK_BYTES: u64 = 16 << 20;
 /// All there may be is divided into at least so many buffers, unless one blob needs more.
 const LEAST_CHUNKS: u64 = 8;
 /// Bytes of a textured vertex, and of two plain ones.
@@ -168,11 +169,14 @@ impl GeometryMemory {
         staging.write(device, self.buffer(chunk), offset, bytes)?;
         let word = |at: u64| ((offset + at) / 4) as u32;
         // The last of what it holds.
-        let normals = needed - u64::from(tiles) * projected::TILE_BYTES as u64;
-        let picture = Picture {
-            start: word(picture_start),
-            side,
-            normals: if blob.has_normals() { word(normals) } else { 0 },
+        let normals = || needed - u64::from(tiles) * projected::TILE_BYTES as u64;
+        let picture = match layout.is_projected() {
+            true => Picture {
+                start: word(picture_start),
+                side,
+                normals: if blob.has_normals() { word(normals()) } else { 0 },
+            },
+            false => Picture::default(),
         };
         // Buffers hold 4 GiB at most, so all numbers fit.
         let place = Place {

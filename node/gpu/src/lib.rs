@@ -15,6 +15,7 @@ mod queries;
 mod ranges;
 mod readback;
 mod recorder;
+mod squares;
 mod staging;
 mod stream_buffer;
 mod targets;

@@ -1,29 +1,46 @@
-//! Textures in device memory: all mips of all textures side by side on the pages of one array.
+//! Textures in device memory: all mips of all that are there, side by side on the pages of one array.
+//!
+//! The array is made once, as large as the room that was set apart; textures come and go in it. A list says
+//! where the mips of each lie; an entry of one that is gone says anything, and no mesh that names it is drawn.
 
 use crate::device::Device;
+use crate::squares::{Place, Squares};
 use crate::staging::Staging;
+use protocol::format::Texture;
 use protocol::format::texture::mip_bytes;
-use scene::backend::{BackendError, LARGEST_STORED_SIDE, TextureUpload, stored_mips};
+use scene::backend::{
+    BackendError, Upload, list_bytes, page_side, stored_bytes, stored_mips, stored_shape,
+    texture_room,
+};
 use shaders::mirror::TextureRecord;
 use wgpu::BufferBindingType::Storage;
-
-/// Pages are as small as the largest texture lets them be, so that little of the last is left empty, but
-/// not so many as this.
-const MANY_PAGES: u64 = 256;
 
 /// The bind group of textured pipelines; nothing is made before the first.
 pub(crate) struct Textures {
     layout: wgpu::BindGroupLayout,
-    group: Option<wgpu::BindGroup>,
-    /// Of what was uploaded.
-    bytes: u64,
+    /// Stands where no texture is declared and yet one might be read.
+    nothing: Option<wgpu::BindGroup>,
+    declared: Option<Declared>,
 }
 
-/// Where textures will lie.
+/// All textures of a scene, of which some are there.
+struct Declared {
+    textures: Vec<Texture>,
+    records: Vec<TextureRecord>,
+    pages: wgpu::Texture,
+    places: wgpu::Buffer,
+    group: wgpu::BindGroup,
+    bytes: u64,
+    free: Squares,
+    /// By index, where the mips of a texture that is there begin on the curve of [`Squares`].
+    held: Vec<Option<Vec<u64>>>,
+}
+
+/// What textures that are to be declared will take.
 pub(crate) struct Arranged {
     records: Vec<TextureRecord>,
-    /// Of all mips of all of them.
-    places: Vec<Place>,
+    /// Mips of all of them.
+    places: usize,
     page_side: u32,
     pages: u32,
 }
@@ -52,7 +69,7 @@ impl Textures {
             label: Some("textures"),
             entries: &entries,
         });
-        Self { layout, group: None, bytes: 0 }
+        Self { layout, nothing: None, declared: None }
     }
 
     /// Layout of group 1 of textured pipelines.
@@ -62,136 +79,160 @@ impl Textures {
 
     /// Group 1 of textured pipelines.
     pub(crate) fn group(&mut self, device: &Device) -> &wgpu::BindGroup {
-        let layout = &self.layout;
-        self.group.get_or_insert_with(|| bind(device, layout, &[], &[], &pages(device, 1, 1)))
+        let Self { layout, nothing, declared } = self;
+        match declared {
+            Some(declared) => &declared.group,
+            None => nothing.get_or_insert_with(|| {
+                let [records, places] = ["texture records", "texture places"]
+                    .map(|label| list(device, label, buffer_bytes(0), &[]));
+                bind(device, layout, &records, &places, &pages(device, 1, 1))
+            }),
+        }
     }
 
-    /// Bytes of what was uploaded.
+    /// Bytes of the pages and the lists.
     pub(crate) fn held_bytes(&self) -> u64 {
-        self.bytes
+        self.declared.as_ref().map_or(0, |declared| declared.bytes)
     }
 
-    /// Copies all textures, which are so arranged, to the device, in place of any before: those are gone
-    /// from its memory when the first of these comes.
+    /// Makes empty pages for textures, which are so arranged, in place of any before: those are gone from
+    /// the device's memory when the new ones come.
     ///
     /// Errors: `Device`.
+    pub(crate) fn declare(
+        &mut self,
+        device: &Device,
+        textures: &[Texture],
+        arranged: Arranged,
+    ) -> Result<(), BackendError> {
+        if self.declared.take().is_some() {
+            // Writes that were not submitted use them, too.
+            device.queue.submit([]);
+            device.wait_for(None)?;
+        }
+        if textures.is_empty() {
+            return Ok(());
+        }
+        let bytes = arranged.bytes();
+        let Arranged { records, places, page_side, pages: count } = arranged;
+        let places_bytes = buffer_bytes(size_of::<u32>() * places);
+        let places = list(device, "texture places", places_bytes, &[]);
+        let content = bytemuck::cast_slice(&records);
+        let list = list(device, "texture records", buffer_bytes(content.len()), content);
+        let pages = pages(device, page_side, count.max(1));
+        self.declared = Some(Declared {
+            group: bind(device, &self.layout, &list, &places, &pages),
+            textures: textures.to_vec(),
+            held: vec![None; records.len()],
+            records,
+            pages,
+            places,
+            bytes,
+            free: Squares::new(page_side, count),
+        });
+        Ok(())
+    }
+
+    /// Copies a texture to the device, unless it is there.
+    ///
+    /// Errors: `Device`, also for bytes that are no texture.
     pub(crate) fn upload(
         &mut self,
         device: &Device,
         staging: &mut Staging,
-        arranged: Arranged,
-        textures: &[TextureUpload<'_>],
-    ) -> Result<(), BackendError> {
-        if self.group.take().is_some() {
-            device.wait_for(None)?;
+        index: u32,
+        bytes: &[u8],
+    ) -> Result<Upload, BackendError> {
+        let declared = self.declared.as_mut().expect("a texture is declared before it comes");
+        let Declared { textures, records, pages, places, free, held, .. } = declared;
+        let (_, _, mips) = stored_mips(&textures[index as usize], bytes)?;
+        let held = &mut held[index as usize];
+        if held.is_some() {
+            return Ok(Upload::Done);
         }
-        self.bytes = arranged.bytes();
-        let pages = pages(device, arranged.page_side, arranged.pages);
-        for (record, (texture, bytes)) in arranged.records.iter().zip(textures) {
-            let (_, _, mips) = stored_mips(texture, bytes)?;
-            write(
-                device,
-                &pages,
-                record.side,
-                &arranged.places[record.first_place as usize..],
-                mips,
-            );
-            staging.wrote(device, mips.len() as u64)?;
+        let TextureRecord { first_place, side, .. } = records[index as usize];
+        let mut taken = Vec::new();
+        for mip in sides(side) {
+            match free.take(mip) {
+                Some(at) => taken.push(at),
+                None => {
+                    give_back(free, side, &taken);
+                    return Ok(Upload::Full);
+                }
+            }
         }
-        let places: Vec<u32> = arranged.places.iter().map(|place| place.packed()).collect();
-        self.group = Some(bind(device, &self.layout, &arranged.records, &places, &pages));
-        Ok(())
+        let at: Vec<Place> = taken.iter().map(|&at| free.place(at)).collect();
+        let packed: Vec<u32> = at.iter().map(|place| place.packed()).collect();
+        let start = u64::from(first_place) * size_of::<u32>() as u64;
+        device.queue.write_buffer(places, start, bytemuck::cast_slice(&packed));
+        write(device, pages, side, &at, mips);
+        staging.wrote(device, mips.len() as u64)?;
+        *held = Some(taken);
+        Ok(Upload::Done)
+    }
+
+    /// Frees the places of a texture; nothing happens if it is not there. What is written there from now on
+    /// comes after the work that was submitted.
+    pub(crate) fn evict(&mut self, index: u32) {
+        let Some(declared) = &mut self.declared else { return };
+        if let Some(taken) = declared.held[index as usize].take() {
+            give_back(&mut declared.free, declared.records[index as usize].side, &taken);
+        }
     }
 }
 
+/// Sides of the mips of a texture, the largest first.
+fn sides(side: u32) -> impl Iterator<Item = u32> {
+    (0..=side.ilog2()).map(move |mip| side >> mip)
+}
+
+fn give_back(free: &mut Squares, side: u32, taken: &[u64]) {
+    taken.iter().zip(sides(side)).for_each(|(&at, side)| free.give_back(at, side));
+}
+
 impl Arranged {
-    /// Finds a place for each.
+    /// As many pages as all of them need, and as fit `room` bytes and the device's arrays.
     ///
-    /// Errors: `Device` for bytes that are no texture, `Unsupported` for more than an array holds.
+    /// Errors: `Device` for records that no texture has.
     pub(crate) fn new(
         device: &Device,
-        textures: &[TextureUpload<'_>],
+        textures: &[Texture],
+        room: u64,
     ) -> Result<Self, BackendError> {
         let mut records = Vec::with_capacity(textures.len());
-        let mut sides = Vec::new();
-        for (texture, bytes) in textures {
-            let (side, [across, down], _) = stored_mips(texture, bytes)?;
+        let mut places = 0;
+        for texture in textures {
+            let (side, [across, down]) = stored_shape(texture)?;
             records.push(TextureRecord {
-                first_place: sides.len() as u32,
+                first_place: places as u32,
                 side,
                 wrap_across: across as u32,
                 wrap_down: down as u32,
             });
-            sides.extend((0..=side.ilog2()).map(|mip| side >> mip));
+            places += sides(side).count();
         }
-        let page_side = page_side(&sides);
-        let (places, count) = placed(&sides, page_side);
+        let page_side = page_side(textures);
+        let page = u64::from(page_side).pow(2) * 4;
+        let all = texture_room(textures, textures.iter().map(stored_bytes).sum());
+        let pages = all.min(room).saturating_sub(list_bytes(textures)) / page;
         let limit = device.limits.max_texture_array_layers.min(1 << 12);
-        if count > limit {
-            let reason = format!("{count} pages of textures; an array holds {limit}");
-            return Err(device.unsupported(reason));
-        }
-        Ok(Self { records, places, page_side, pages: count.max(1) })
+        Ok(Self { records, places, page_side, pages: pages.min(u64::from(limit)) as u32 })
     }
 
     /// Bytes of the pages and the lists.
     pub(crate) fn bytes(&self) -> u64 {
+        if self.records.is_empty() {
+            return 0;
+        }
         buffer_bytes(size_of_val(&self.records[..]))
-            + buffer_bytes(size_of::<u32>() * self.places.len())
-            + u64::from(self.pages) * u64::from(self.page_side).pow(2) * 4
+            + buffer_bytes(size_of::<u32>() * self.places)
+            + u64::from(self.pages.max(1)) * u64::from(self.page_side).pow(2) * 4
     }
 }
 
 /// Bytes of the buffer for a list; a binding is not empty.
 fn buffer_bytes(list: usize) -> u64 {
     list.max(size_of::<TextureRecord>()) as u64
-}
-
-/// Where a mip lies.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-struct Place {
-    x: u32,
-    y: u32,
-    page: u32,
-}
-
-impl Place {
-    /// As the shaders read it.
-    fn packed(self) -> u32 {
-        self.x | self.y << 10 | self.page << 20
-    }
-}
-
-/// Side of the pages for squares of these sides.
-fn page_side(sides: &[u32]) -> u32 {
-    let area: u64 = sides.iter().map(|&side| u64::from(side).pow(2)).sum();
-    let mut page = sides.iter().copied().max().unwrap_or(1);
-    while page < LARGEST_STORED_SIDE && area.div_ceil(u64::from(page).pow(2)) > MANY_PAGES {
-        page *= 2;
-    }
-    page
-}
-
-/// Places for squares of these sides, powers of two up to a page's, and the number of pages.
-///
-/// Large ones go first, along the curve that fills a square quarter by quarter (Morton 1966): what lies
-/// before each is then a multiple of its own area, so it finds a whole quarter, and none is wasted.
-fn placed(sides: &[u32], page_side: u32) -> (Vec<Place>, u32) {
-    let mut order: Vec<usize> = (0..sides.len()).collect();
-    order.sort_by_key(|&index| std::cmp::Reverse(sides[index]));
-    let mut places = vec![Place::default(); sides.len()];
-    let page = u64::from(page_side).pow(2);
-    let mut used = 0u64;
-    for index in order {
-        let within = used % page;
-        let every_other_bit = |from: u32| {
-            (0..page_side.ilog2()).fold(0, |sum, bit| sum | (within >> (2 * bit + from) & 1) << bit)
-        };
-        let [x, y] = [0, 1].map(|from| every_other_bit(from) as u32);
-        places[index] = Place { x, y, page: (used / page) as u32 };
-        used += u64::from(sides[index]).pow(2);
-    }
-    (places, used.div_ceil(page) as u32)
 }
 
 /// Writes all mips of one texture to their places.
@@ -234,27 +275,27 @@ fn pages(device: &Device, side: u32, count: u32) -> wgpu::Texture {
     })
 }
 
+/// A buffer of so many bytes that begins with `content`.
+fn list(device: &Device, label: &str, bytes: u64, content: &[u8]) -> wgpu::Buffer {
+    let buffer = device.device.create_buffer(&wgpu::BufferDescriptor {
+        label: Some(label),
+        size: bytes,
+        usage: wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_DST,
+        mapped_at_creation: false,
+    });
+    if !content.is_empty() {
+        device.queue.write_buffer(&buffer, 0, content);
+    }
+    buffer
+}
+
 fn bind(
     device: &Device,
     layout: &wgpu::BindGroupLayout,
-    records: &[TextureRecord],
-    places: &[u32],
+    records: &wgpu::Buffer,
+    places: &wgpu::Buffer,
     pages: &wgpu::Texture,
 ) -> wgpu::BindGroup {
-    let list = |label, bytes: &[u8]| {
-        let buffer = device.device.create_buffer(&wgpu::BufferDescriptor {
-            label: Some(label),
-            size: buffer_bytes(bytes.len()),
-            usage: wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_DST,
-            mapped_at_creation: false,
-        });
-        if !bytes.is_empty() {
-            device.queue.write_buffer(&buffer, 0, bytes);
-        }
-        buffer
-    };
-    let records = list("texture records", bytemuck::cast_slice(records));
-    let places = list("texture places", bytemuck::cast_slice(places));
     let view = pages.create_view(&wgpu::TextureViewDescriptor {
         dimension: Some(wgpu::TextureViewDimension::D2Array),
         ..Default::default()
@@ -273,42 +314,4 @@ fn bind(
         layout,
         entries: &entries,
     })
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use std::collections::HashSet;
-
-    #[test]
-    fn mips_fill_pages_without_overlap_or_gap() {
-        assert_eq!((placed(&[], 1), page_side(&[])), ((vec![], 0), 1));
-        assert_eq!((placed(&[64; 2], 64).1, page_side(&[64, 64, 32])), (2, 64));
-        assert_eq!((page_side(&[64; 257]), page_side(&[1024; 999])), (128, 1024));
-        let chains = [1024, 1, 512, 64, 512, 2, 256, 1024];
-        let sides: Vec<u32> = chains
-            .iter()
-            .flat_map(|side: &u32| (0..=side.ilog2()).map(move |m| side >> m))
-            .collect();
-        let page_side = page_side(&sides);
-        let (places, pages) = placed(&sides, page_side);
-        let mut taken = HashSet::new();
-        for (place, &side) in places.iter().zip(&sides) {
-            assert!(place.x % side == 0 && place.y % side == 0, "{place:?} {side}");
-            assert!(
-                place.x + side <= page_side && place.y + side <= page_side && place.page < pages
-            );
-            for y in place.y..place.y + side {
-                assert!((place.x..place.x + side).all(|x| taken.insert((x, y, place.page))));
-            }
-        }
-        assert_eq!(taken.len().div_ceil(page_side.pow(2) as usize), pages as usize);
-    }
-
-    #[test]
-    fn a_place_keeps_its_parts_apart() {
-        let last = Place { x: 1023, y: 1023, page: 4095 };
-        assert_eq!(last.packed(), u32::MAX);
-        assert_eq!(Place { x: 1, y: 2, page: 3 }.packed(), 1 | 2 << 10 | 3 << 20);
-    }
 }

@@ -21,7 +21,6 @@ fn main() -> Result<(), Box<dyn Error>> {
     let path = PathBuf::from(std::env::args_os().nth(1).ok_or("name a scene file")?);
     let (store, scene, file) = (Store::open(&path)?, read_skeleton(&path)?, File::open(&path)?);
     let blobs = &scene.skeleton.blobs;
-    let textures = scene.skeleton.textures.len() as u32;
     let bytes: u64 = blobs.iter().map(|blob| blob.bytes).sum();
     println!("{} blobs, {} MB", blobs.len(), bytes / 1_000_000);
 
@@ -33,7 +32,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     measure("read_blob", &store, bytes, |id, out| Ok(store.read_blob(id, out)?))?;
     measure("plain reads, checked", &store, bytes, |id, out| {
         read_at(id, out)?;
-        Ok(check_blob(&blobs[id.index()], out, textures)?)
+        Ok(check_blob(&blobs[id.index()], out, scene.skeleton.textures_of(id))?)
     })?;
     measure("plain reads alone", &store, bytes, |id, out| Ok(read_at(id, out)?))
 }

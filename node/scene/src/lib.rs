@@ -1,5 +1,6 @@
 //! The baked scene at run time, without a GPU: what is near, what may be hidden, what to draw.
 
+pub mod asset;
 pub mod backend;
 pub mod cut_check;
 pub mod deep;

@@ -2,7 +2,7 @@
 //! of all classes, some textured.
 
 use crate::backend::cpu::CpuBackend;
-use crate::backend::{Backend, Upload};
+use crate::backend::{Backend, Upload, upload_textures};
 use crate::occludee::Rules;
 use bytemuck::Zeroable;
 use geometry::bounds::Aabb;
@@ -46,6 +46,7 @@ impl RandomScene {
             blobs: vec![],
             transforms: vec![],
             textures: vec![],
+            texture_lists: vec![],
             view_cells: vec![],
             cubes: vec![],
         };
@@ -73,7 +74,7 @@ impl RandomScene {
     pub(crate) fn backend(&self, size: PictureSize, rules: &Rules) -> CpuBackend {
         let mut backend = CpuBackend::with_rules(size, rules);
         let textures: Vec<_> = self.textures.iter().map(|(t, bytes)| (*t, &bytes[..])).collect();
-        assert_eq!(backend.upload_textures(&textures).unwrap(), Upload::Done);
+        assert_eq!(upload_textures(&mut backend, &textures).unwrap(), Upload::Done);
         for (id, (blob, bytes)) in self.skeleton.blobs.iter().zip(&self.blob_bytes).enumerate() {
             let upload = backend.upload(BlobId(id as u32), blob, bytes).unwrap();
             assert_eq!(upload, Upload::Done);

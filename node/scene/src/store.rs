@@ -80,8 +80,7 @@ impl Store {
             return Err(StoreError::Unknown { path: path(), blob: id });
         };
         self.read(Content::Blob(id), out)?;
-        let textures = self.skeleton.textures.len() as u32;
-        check_blob(blob, out, textures).map_err(|source| {
+        check_blob(blob, out, self.skeleton.textures_of(id)).map_err(|source| {
             let damaged = StoreError::Damaged { path: path(), blob: id, source };
             self.gone(Content::Blob(id)).unwrap_or(damaged)
         })

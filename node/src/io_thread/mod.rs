@@ -1,39 +1,47 @@
-//! The I/O thread (paper 004, section 5.5): reads geometry beside the render loop.
+//! The I/O thread (Manocha, section 5.5): reads meshes and textures beside the render loop.
 //!
 //! In the paper's stages: until a fetch command comes it reads what the last forecast names (stage I);
 //! then what the frame lacks, L_O, while the render side draws L_I (stage II); then what the next
 //! forecast names (stage III). It alone touches the map of the file.
 
+mod marks;
 pub(crate) mod pool;
 #[cfg(test)]
 mod tests;
 
 use crossbeam_channel::{Receiver, Sender, TryRecvError, bounded, select};
 use farfield::field::FarField;
+use marks::Marks;
 use pool::{Buffer, Pool};
 use protocol::format::Skeleton;
-use protocol::id::BlobId;
+use scene::asset::{Asset, needs};
 use scene::prefetch::{Forecaster, Outlook};
 use scene::store::{Store, StoreError};
-use std::collections::VecDeque;
+use std::collections::{BTreeSet, VecDeque};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Orders that may wait: a frame gives two, and waits for one of them.
 const ORDERS: usize = 8;
-/// Blobs that may wait to be taken in. Buffers bound their bytes; this many small ones come between two
+/// Arrivals that may wait to be taken in. Buffers bound their bytes; this many small ones come between two
 /// drawings.
 const ARRIVALS: usize = 1024;
 
-/// Where blobs come from.
+/// Bytes that a drawing takes in of what it does not wait for; what is larger is not read ahead.
+pub(crate) const BESIDES_BYTES: u64 = 16 << 20;
+
+/// Where blobs and textures come from.
 pub(crate) trait Source: Send {
-    /// Reads and checks a blob; `out` has its length.
-    fn read(&self, blob: BlobId, out: &mut [u8]) -> Result<(), StoreError>;
+    /// Reads and checks one; `out` has its length.
+    fn read(&self, asset: Asset, out: &mut [u8]) -> Result<(), StoreError>;
 }
 
 impl Source for Arc<Store> {
-    fn read(&self, blob: BlobId, out: &mut [u8]) -> Result<(), StoreError> {
-        self.read_blob(blob, out)
+    fn read(&self, asset: Asset, out: &mut [u8]) -> Result<(), StoreError> {
+        match asset {
+            Asset::Blob(id) => self.read_blob(id, out),
+            Asset::Texture(index) => self.read_texture(index, out),
+        }
     }
 }
 
@@ -41,63 +49,41 @@ impl Source for Arc<Store> {
 #[derive(Debug)]
 pub(crate) enum Order {
     /// The fetch command: these in this order, before anything else.
-    Fetch(Vec<BlobId>),
+    Fetch {
+        /// What to read.
+        assets: Vec<Asset>,
+        /// Another drawing has begun: what the last one ordered and has not been read is not wanted any more.
+        replaces: bool,
+    },
     /// Read ahead what is likely to be needed next.
     Foresee {
         /// What the forecast is made from.
         outlook: Outlook,
         /// What the present drawing uses.
-        in_use: Vec<BlobId>,
+        in_use: Vec<Asset>,
         /// Bytes beside that.
-        room: u64,
+        room: Room,
+        /// With the textures of what is named.
+        textures: bool,
     },
-    /// The scene fits: after all that was ordered, everything that may be drawn.
-    Everything(Vec<BlobId>),
 }
 
-/// A blob that was read, or could not be.
+/// Bytes that a forecast may name.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub(crate) struct Room {
+    /// Of blobs.
+    pub(crate) blobs: u64,
+    /// Of textures.
+    pub(crate) textures: u64,
+}
+
+/// Something that was read, or could not be.
 #[derive(Debug)]
 pub(crate) struct Arrival {
-    pub(crate) blob: BlobId,
+    pub(crate) asset: Asset,
     pub(crate) bytes: Result<Buffer, StoreError>,
     /// Nobody has fetched it.
     pub(crate) foreseen: bool,
-}
-
-/// A bit a blob, for both sides to see.
-#[derive(Debug)]
-pub(crate) struct Marks(Vec<AtomicU64>);
-
-impl Marks {
-    fn new(blobs: usize) -> Self {
-        Self(std::iter::repeat_with(AtomicU64::default).take(blobs.div_ceil(64)).collect())
-    }
-
-    fn word(&self, blob: BlobId) -> (&AtomicU64, u64) {
-        (&self.0[blob.index() / 64], 1 << (blob.index() % 64))
-    }
-
-    /// Whether it is set.
-    pub(crate) fn has(&self, blob: BlobId) -> bool {
-        let (word, bit) = self.word(blob);
-        word.load(Ordering::Acquire) & bit != 0
-    }
-
-    /// Sets it; whether that is new.
-    fn set(&self, blob: BlobId) -> bool {
-        let (word, bit) = self.word(blob);
-        word.fetch_or(bit, Ordering::AcqRel) & bit == 0
-    }
-
-    /// Takes it back.
-    pub(crate) fn clear(&self, blob: BlobId) {
-        let (word, bit) = self.word(blob);
-        word.fetch_and(!bit, Ordering::AcqRel);
-    }
-
-    fn clear_all(&self) {
-        self.0.iter().for_each(|word| word.store(0, Ordering::Release));
-    }
 }
 
 /// The render side's end.
@@ -105,7 +91,7 @@ impl Marks {
 pub(crate) struct IoThread {
     orders: Sender<Order>,
     pub(crate) arrivals: Receiver<Arrival>,
-    /// With the backend or on its way there: set by the thread before it reads a blob, taken back by
+    /// With the backend or on its way there: set by the thread before it reads something, taken back by
     /// the render side when it gives one up, which may then be read again.
     pub(crate) claims: Arc<Marks>,
     /// In the present forecast: better kept than others.
@@ -116,18 +102,19 @@ pub(crate) struct IoThread {
 }
 
 impl IoThread {
-    /// Starts the thread, which ends when this is dropped. Buffers take at most `cap` bytes.
+    /// Starts the thread, which ends when this is dropped. Buffers take at most `cap` bytes, of which what
+    /// is read ahead leaves `reserve`: the largest asset finds room, whatever waits to be taken in.
     pub(crate) fn start(
         source: impl Source + 'static,
         skeleton: Arc<Skeleton>,
         forecaster: Forecaster,
         far: Option<Arc<dyn FarField>>,
-        cap: u64,
+        [cap, reserve]: [u64; 2],
     ) -> std::io::Result<Self> {
         let (orders, inbox) = bounded(ORDERS);
         let (outbox, arrivals) = bounded(ARRIVALS);
-        let (pool, returned) = Pool::new(cap);
-        let marks = || Arc::new(Marks::new(skeleton.blobs.len()));
+        let (pool, returned) = Pool::new(cap, reserve);
+        let marks = || Arc::new(Marks::new(&skeleton));
         let (claims, likely) = (marks(), marks());
         let is_awaited = Arc::new(AtomicBool::new(false));
         let reader = Reader {
@@ -145,18 +132,18 @@ impl IoThread {
             fetched: VecDeque::new(),
             ahead: VecDeque::new(),
             next_forecast: None,
-            rest: VecDeque::new(),
-            room: 0,
+            with_textures: false,
+            room: Room::default(),
         };
         std::thread::Builder::new().name("io".to_owned()).spawn(move || reader.run())?;
         Ok(Self { orders, arrivals, claims, likely, pool, is_awaited })
     }
 
     /// Gives a fetch command.
-    pub(crate) fn fetch(&self, blobs: Vec<BlobId>) {
+    pub(crate) fn fetch(&self, assets: Vec<Asset>, replaces: bool) {
         // The thread takes orders even while it waits to hand something over, so this ends. One that
         // broke down has said so; the frame that waits for it finds the channel closed.
-        let _ = self.orders.send(Order::Fetch(blobs));
+        let _ = self.orders.send(Order::Fetch { assets, replaces });
     }
 
     /// Waits for the next arrival; none where the thread broke down.
@@ -187,14 +174,14 @@ struct Reader<S> {
     likely: Arc<Marks>,
     is_awaited: Arc<AtomicBool>,
     /// L_O.
-    fetched: VecDeque<BlobId>,
+    fetched: VecDeque<Asset>,
     /// To be read ahead.
-    ahead: VecDeque<BlobId>,
-    next_forecast: Option<(Outlook, Vec<BlobId>, u64)>,
-    /// Blobs to be read after all that.
-    rest: VecDeque<BlobId>,
+    ahead: VecDeque<Asset>,
+    next_forecast: Option<(Outlook, Vec<Asset>)>,
+    /// The forecast names textures, too.
+    with_textures: bool,
     /// Bytes that the forecast may still take.
-    room: u64,
+    room: Room,
 }
 
 /// The render side is gone.
@@ -205,7 +192,7 @@ impl<S: Source> Reader<S> {
         while self.step().is_ok() {}
     }
 
-    /// Takes all orders, then reads one blob.
+    /// Takes all orders, then reads one asset.
     fn step(&mut self) -> Result<(), Gone> {
         loop {
             match self.orders.try_recv() {
@@ -214,15 +201,15 @@ impl<S: Source> Reader<S> {
                 Err(TryRecvError::Disconnected) => return Err(Gone),
             }
         }
-        let Some((blob, foreseen)) = self.next() else {
+        let Some((asset, foreseen)) = self.next() else {
             let order = self.orders.recv().map_err(|_| Gone)?;
             self.take(order);
             return Ok(());
         };
-        let length = self.skeleton.blob(blob).bytes;
-        let Some(mut buffer) = self.pool.take(length as usize) else {
+        let length = asset.file_bytes(&self.skeleton);
+        let Some(mut buffer) = self.pool.take(length as usize, foreseen) else {
             let back = if foreseen { &mut self.ahead } else { &mut self.fetched };
-            back.push_front(blob);
+            back.push_front(asset);
             let orders = self.orders.clone();
             select! {
                 recv(orders) -> order => self.take(order.map_err(|_| Gone)?),
@@ -230,11 +217,11 @@ impl<S: Source> Reader<S> {
             }
             return Ok(());
         };
-        if !self.claims.set(blob) {
+        if !self.claims.set(asset) {
             return Ok(());
         }
-        let bytes = self.source.read(blob, &mut buffer).map(|()| buffer);
-        self.hand_over(Arrival { blob, bytes, foreseen })?;
+        let bytes = self.source.read(asset, &mut buffer).map(|()| buffer);
+        self.hand_over(Arrival { asset, bytes, foreseen })?;
         // The scheduler would let this thread read on for a millisecond before it runs the one that waits
         // for what is read.
         if self.fetched.is_empty() && self.is_awaited.load(Ordering::Acquire) {
@@ -245,70 +232,80 @@ impl<S: Source> Reader<S> {
 
     fn take(&mut self, order: Order) {
         match order {
-            Order::Fetch(blobs) => self.fetched.extend(blobs),
-            Order::Foresee { outlook, in_use, room } => {
-                self.next_forecast = Some((outlook, in_use, room))
+            Order::Fetch { assets, replaces } => {
+                if replaces {
+                    self.fetched.clear();
+                }
+                // What a drawing lacks, once: so much and no more may wait.
+                let mut waits: BTreeSet<Asset> = self.fetched.iter().copied().collect();
+                self.fetched.extend(assets.into_iter().filter(|&asset| waits.insert(asset)));
             }
-            Order::Everything(blobs) => self.rest = blobs.into(),
+            Order::Foresee { outlook, in_use, room, textures } => {
+                (self.room, self.with_textures) = (room, textures);
+                self.next_forecast = Some((outlook, in_use))
+            }
         }
     }
 
-    /// The next blob to read that is not claimed; whether it is read ahead.
-    fn next(&mut self) -> Option<(BlobId, bool)> {
-        while let Some(blob) = self.fetched.pop_front() {
-            if !self.claims.has(blob) {
-                return Some((blob, false));
+    /// What to read next and is not claimed; whether it is read ahead.
+    fn next(&mut self) -> Option<(Asset, bool)> {
+        while let Some(asset) = self.fetched.pop_front() {
+            if !self.claims.has(asset) {
+                return Some((asset, false));
             }
         }
         loop {
             // The newest forecast is the best: what an older one did not come to goes.
-            if let Some((outlook, in_use, room)) = self.next_forecast.take() {
+            if let Some((outlook, in_use)) = self.next_forecast.take() {
                 self.ahead.clear();
                 self.likely.clear_all();
-                in_use.into_iter().for_each(|blob| _ = self.likely.set(blob));
-                self.room = room;
+                in_use.into_iter().for_each(|asset| _ = self.likely.set(asset));
                 // Cubes of the cells to come; they are drawn whatever is visible.
                 for camera in &outlook.ahead {
                     let wanted = self.far.as_ref().map(|far| far.wanted(camera.eye));
-                    wanted.into_iter().flatten().for_each(|blob| self.expect(blob));
+                    let blobs = wanted.into_iter().flatten();
+                    blobs.for_each(|blob| self.expect(Asset::Blob(blob)));
                 }
                 self.forecaster.begin(outlook);
             }
-            while let Some(blob) = self.ahead.pop_front() {
-                if !self.claims.has(blob) {
-                    return Some((blob, true));
+            while let Some(asset) = self.ahead.pop_front() {
+                if !self.claims.has(asset) {
+                    return Some((asset, true));
                 }
             }
             if !self.orders.is_empty() {
                 return None;
             }
-            let named = if self.room > 0 { self.forecaster.next_levels() } else { None };
-            match named {
-                Some((_, levels)) => {
-                    let skeleton = Arc::clone(&self.skeleton);
-                    let blobs = levels.iter().flat_map(|&level| skeleton.blobs_of(level));
-                    blobs.for_each(|blob| self.expect(blob));
-                }
-                None => self.ahead.push_back(self.rest.pop_front()?),
+            if self.room.blobs == 0 {
+                return None;
             }
+            let (_, levels) = self.forecaster.next_levels()?;
+            let (skeleton, textures) = (Arc::clone(&self.skeleton), self.with_textures);
+            let blobs = levels.iter().flat_map(|&level| skeleton.blobs_of(level));
+            let named = blobs.flat_map(|blob| needs(&skeleton, blob, textures));
+            named.for_each(|asset| self.expect(asset));
         }
     }
 
-    /// Marks a blob as likely to be needed, and has it read if it is not there, as long as there is room
+    /// Marks an asset as likely to be needed, and has it read if it is not there, as long as there is room
     /// for all that is likely.
-    fn expect(&mut self, blob: BlobId) {
-        let length = self.skeleton.blob(blob).bytes;
-        if self.likely.has(blob) {
+    fn expect(&mut self, asset: Asset) {
+        let length = asset.stored_bytes(&self.skeleton);
+        if self.likely.has(asset) || length > BESIDES_BYTES {
             return;
         }
-        if length > self.room {
+        let room = match asset {
+            Asset::Blob(_) => &mut self.room.blobs,
+            Asset::Texture(_) => &mut self.room.textures,
+        };
+        if length > *room {
             // What comes after is needed less.
-            self.room = 0;
+            *room = 0;
             return;
         }
-        self.room -= length;
-        self.likely.set(blob);
-        self.ahead.push_back(blob);
+        *room -= length;
+        self.likely.set(asset);
+        self.ahead.push_back(asset);
     }
 
     fn hand_over(&mut self, arrival: Arrival) -> Result<(), Gone> {

@@ -3,6 +3,7 @@
 use super::*;
 use crate::fixture::{street, write};
 use protocol::camera::Camera;
+use protocol::id::BlobId;
 use protocol::settings::PictureSize;
 use protocol::visible::VisibleSet;
 use std::sync::Mutex;
@@ -26,18 +27,18 @@ fn skeleton(blobs: u32, bytes: u64) -> Arc<Skeleton> {
 /// Fills a blob with its id; some cannot be read.
 struct Fake {
     pause: Duration,
-    broken: Option<BlobId>,
-    read: Arc<Mutex<Vec<BlobId>>>,
+    broken: Option<Asset>,
+    read: Arc<Mutex<Vec<Asset>>>,
 }
 
 impl Source for Fake {
-    fn read(&self, blob: BlobId, out: &mut [u8]) -> Result<(), StoreError> {
+    fn read(&self, asset: Asset, out: &mut [u8]) -> Result<(), StoreError> {
         std::thread::sleep(self.pause);
-        self.read.lock().unwrap().push(blob);
-        out.fill(blob.0 as u8);
+        self.read.lock().unwrap().push(asset);
+        out.fill(asset.index(0) as u8);
         match self.broken {
-            Some(broken) if broken == blob => {
-                Err(StoreError::Unknown { path: "fake.occ".into(), blob })
+            Some(broken) if broken == asset => {
+                Err(StoreError::Unknown { path: "fake.occ".into(), blob: BlobId(7) })
             }
             _ => Ok(()),
         }
@@ -48,15 +49,21 @@ fn start(
     skeleton: &Arc<Skeleton>,
     cap: u64,
     pause: Duration,
-) -> (IoThread, Arc<Mutex<Vec<BlobId>>>) {
+) -> (IoThread, Arc<Mutex<Vec<Asset>>>) {
     let read = Arc::default();
-    let source = Fake { pause, broken: Some(BlobId(7)), read: Arc::clone(&read) };
+    let source = Fake { pause, broken: Some(blob(7)), read: Arc::clone(&read) };
     let forecaster = Forecaster::new(Arc::clone(skeleton), Arc::default(), SIZE, 0.0);
-    (IoThread::start(source, Arc::clone(skeleton), forecaster, None, cap).unwrap(), read)
+    (IoThread::start(source, Arc::clone(skeleton), forecaster, None, [cap, 100]).unwrap(), read)
 }
 
-fn everything(skeleton: &Skeleton) -> Order {
-    Order::Everything((0..skeleton.blobs.len() as u32).map(BlobId).collect())
+fn blob(id: u32) -> Asset {
+    Asset::Blob(BlobId(id))
+}
+
+/// A forecast that names all that can be seen, in `bytes` of room.
+fn forecast(bytes: u64) -> Order {
+    let room = Room { blobs: bytes, textures: 0 };
+    Order::Foresee { outlook: outlook(), in_use: vec![], room, textures: false }
 }
 
 fn wait(io: &IoThread) -> Arrival {
@@ -74,22 +81,22 @@ fn outlook() -> Outlook {
 fn what_is_fetched_comes_in_order_and_once() {
     let skeleton = skeleton(9, 100);
     let (io, read) = start(&skeleton, 1000, Duration::ZERO);
-    io.fetch([3, 1, 7, 3, 2].map(BlobId).to_vec());
-    for (blob, is_good) in [(3, true), (1, true), (7, false), (2, true)] {
+    io.fetch([3, 1, 7, 3, 2].map(blob).to_vec(), true);
+    for (id, is_good) in [(3, true), (1, true), (7, false), (2, true)] {
         let arrival = wait(&io);
-        assert_eq!((arrival.blob, arrival.foreseen), (BlobId(blob), false));
+        assert_eq!((arrival.asset, arrival.foreseen), (blob(id), false));
         assert_eq!(arrival.bytes.is_ok(), is_good);
         if let Ok(bytes) = arrival.bytes {
-            assert_eq!(bytes[..], [blob as u8; 100]);
+            assert_eq!(bytes[..], [id as u8; 100]);
         }
     }
     // Claimed until it is given up.
-    io.fetch(vec![BlobId(1)]);
-    io.fetch(vec![BlobId(4)]);
-    assert_eq!(wait(&io).blob, BlobId(4));
-    io.claims.clear(BlobId(1));
-    io.fetch(vec![BlobId(1)]);
-    assert_eq!(wait(&io).blob, BlobId(1));
+    io.fetch(vec![blob(1)], false);
+    io.fetch(vec![blob(4)], false);
+    assert_eq!(wait(&io).asset, blob(4));
+    io.claims.clear(blob(1));
+    io.fetch(vec![blob(1)], false);
+    assert_eq!(wait(&io).asset, blob(1));
     assert_eq!(read.lock().unwrap().len(), 6);
 }
 
@@ -97,10 +104,10 @@ fn what_is_fetched_comes_in_order_and_once() {
 fn with_room_for_one_buffer_all_comes_one_by_one() {
     let skeleton = skeleton(200, 100);
     let (io, _) = start(&skeleton, 199, Duration::ZERO);
-    io.fetch((0..200).map(BlobId).collect());
-    for blob in 0..200 {
+    io.fetch((0..200).map(blob).collect(), true);
+    for id in 0..200 {
         let arrival = wait(&io);
-        assert_eq!(arrival.blob, BlobId(blob));
+        assert_eq!(arrival.asset, blob(id));
         // What cannot be read takes no room.
         if arrival.bytes.is_ok() {
             assert!(io.arrivals.recv_timeout(Duration::from_millis(1)).is_err(), "no room for two");
@@ -111,54 +118,98 @@ fn with_room_for_one_buffer_all_comes_one_by_one() {
 }
 
 #[test]
-fn a_fetch_command_goes_before_what_is_read_ahead() {
+fn a_fetch_command_goes_before_what_is_read_ahead_and_has_room_of_its_own() {
     let skeleton = skeleton(60, 100);
-    let (io, _) = start(&skeleton, 200, Duration::from_millis(1));
-    io.foresee(everything(&skeleton));
-    let first = wait(&io);
-    assert!(first.foreseen);
-    io.fetch(vec![BlobId(55)]);
-    drop(first);
-    // Two buffers are full of what was read ahead before the command came, one may be on its way.
-    let before = std::iter::from_fn(|| Some(wait(&io))).take_while(|arrival| arrival.blob.0 != 55);
-    assert!(before.map(drop).count() <= 3);
+    let (io, _) = start(&skeleton, 300, Duration::from_millis(1));
+    io.foresee(forecast(10_000));
+    let ahead: Vec<Arrival> = (0..2).map(|_| wait(&io)).collect();
+    assert!(ahead.iter().all(|arrival| arrival.foreseen));
+    // Two of three buffers hold what was read ahead, and that is all it may have.
+    assert!(io.arrivals.recv_timeout(Duration::from_millis(50)).is_err());
+    io.fetch(vec![blob(55)], true);
+    let arrival = wait(&io);
+    assert_eq!((arrival.asset, arrival.foreseen), (blob(55), false));
+    drop((ahead, arrival));
     let rest = std::iter::from_fn(|| io.arrivals.recv_timeout(Duration::from_secs(2)).ok());
-    assert!(rest.map(drop).count() >= 55, "and then it goes on");
+    let rest = rest.map(drop).count();
+    assert!(rest >= 10, "and then it goes on: {rest}");
+}
+
+#[test]
+fn what_another_drawing_lacks_takes_the_place_of_what_the_last_one_ordered() {
+    let skeleton = skeleton(700, 100);
+    let (io, read) = start(&skeleton, 100_000, Duration::from_millis(2));
+    // Three drawings far from each other; the second orders in two pieces, and some twice.
+    io.fetch((100..300).map(blob).collect(), true);
+    io.fetch((300..400).map(blob).collect(), true);
+    io.fetch((350..500).map(blob).collect(), false);
+    io.fetch((500..700).map(blob).collect(), true);
+    let left = |arrival: &Arrival| arrival.asset != blob(699);
+    let come = std::iter::from_fn(|| Some(wait(&io))).take_while(left).count();
+    // The thread may have begun one of each before it heard of the next.
+    assert!(come <= 199 + 3, "{come} came before the last that is lacked");
+    assert!(io.arrivals.recv_timeout(Duration::from_millis(100)).is_err(), "leftovers are read");
+    let read = read.lock().unwrap();
+    let distinct: BTreeSet<_> = read.iter().collect();
+    assert_eq!(distinct.len(), read.len(), "something was read twice");
+    assert!((500..700).all(|id| distinct.contains(&blob(id))));
+}
+
+#[test]
+fn a_drawing_that_orders_again_and_again_waits_for_no_more_than_it_lacks() {
+    let skeleton = skeleton(60, 100);
+    let (io, read) = start(&skeleton, 100_000, Duration::from_millis(1));
+    for _ in 0..20 {
+        io.fetch((10..60).map(blob).collect(), false);
+    }
+    let all = std::iter::from_fn(|| io.arrivals.recv_timeout(Duration::from_millis(300)).ok());
+    assert_eq!((all.count(), read.lock().unwrap().len()), (50, 50));
 }
 
 #[test]
 fn no_more_is_read_ahead_than_there_is_room_for() {
     let skeleton = skeleton(60, 100);
     let (io, read) = start(&skeleton, 10_000, Duration::ZERO);
-    io.foresee(Order::Foresee { outlook: outlook(), in_use: vec![], room: 350 });
+    io.foresee(forecast(350));
     let foreseen: Vec<Arrival> =
         std::iter::from_fn(|| io.arrivals.recv_timeout(Duration::from_millis(300)).ok()).collect();
     assert_eq!(foreseen.len(), 3);
     assert!(foreseen.iter().all(|arrival| arrival.foreseen));
-    io.foresee(Order::Foresee { outlook: outlook(), in_use: vec![], room: 0 });
+    io.foresee(forecast(0));
     assert!(io.arrivals.recv_timeout(Duration::from_millis(100)).is_err());
     assert_eq!(read.lock().unwrap().len(), 3);
 }
 
 #[test]
+fn what_is_larger_than_a_drawing_takes_in_besides_is_not_read_ahead() {
+    let skeleton = skeleton(3, BESIDES_BYTES + 1);
+    let (io, read) = start(&skeleton, 8 * BESIDES_BYTES, Duration::ZERO);
+    io.foresee(forecast(u64::MAX));
+    assert!(io.arrivals.recv_timeout(Duration::from_millis(100)).is_err());
+    io.fetch(vec![blob(1)], true);
+    assert_eq!(wait(&io).asset, blob(1));
+    assert_eq!(read.lock().unwrap().len(), 1);
+}
+
+#[test]
 fn orders_are_taken_while_nobody_takes_arrivals_in() {
-    let skeleton = skeleton(200, 10);
+    let skeleton = skeleton(2000, 10);
     let (io, _) = start(&skeleton, 100_000, Duration::ZERO);
-    io.foresee(everything(&skeleton));
+    io.fetch((1000..2000).map(blob).collect(), true);
     // Far more than fit the queue, while the arrivals' queue is full: none of these may block.
-    for blob in (100..200).rev() {
-        io.fetch(vec![BlobId(blob)]);
+    for id in (500..1000).rev() {
+        io.fetch(vec![blob(id)], false);
     }
     let all = std::iter::from_fn(|| io.arrivals.recv_timeout(Duration::from_secs(2)).ok());
-    assert_eq!(all.map(drop).count(), 200);
+    assert_eq!(all.map(drop).count(), 1500);
 }
 
 #[test]
 fn it_ends_with_its_handle_even_while_it_waits() {
     let skeleton = skeleton(200, 100);
-    for cap in [100, 100_000] {
+    for cap in [200, 100_000] {
         let (io, read) = start(&skeleton, cap, Duration::ZERO);
-        io.foresee(everything(&skeleton));
+        io.foresee(forecast(100_000));
         let held = wait(&io);
         drop(io);
         drop(held);

@@ -12,6 +12,7 @@
 
 use super::render_visible_geometry::{Drawn, Layer, is_among};
 use super::{RoleError, Stage};
+use crate::resident::Needs;
 use protocol::camera::Camera;
 use protocol::id::HlodId;
 use protocol::settings::{AuditAgainst, Residency as Promise};
@@ -119,12 +120,12 @@ fn unculled_picture(
     let (shading, promise) = (stage.shading(), stage.settings.residency);
     let pass = |view, draws, part| Pass::Shade { view, shading, draws, with_depth: true, part };
     loop {
-        let is_there = |level| stage.loader.offers_level(level, promise);
+        let is_there = |level| stage.loader.offers_level(level, promise, Needs::Look);
         let entries = unculled(&stage.skeleton, whole, &layer.replaced, is_there);
         let (draws, _) = stage.list(of, camera, &entries, promise);
         let completion = match promise {
             // None where a mesh cannot be read any more: it is left out then.
-            Promise::Exact => stage.draw_list(camera, &draws, pass)?,
+            Promise::Exact => stage.draw_list(camera, &draws, Needs::Look, pass)?,
             Promise::Deadline => Some(stage.draw_held(camera, draws, pass)?),
         };
         match completion {
@@ -187,7 +188,7 @@ fn items_of(
     drawn: &Layer,
 ) -> Result<Option<Items>, RoleError> {
     let pass = |view, draws, part| Pass::Items { view, draws, part };
-    Ok(stage.draw_list(camera, &drawn.draws, pass)?.map(|completion| {
+    Ok(stage.draw_list(camera, &drawn.draws, Needs::Look, pass)?.map(|completion| {
         let Completion::Items { items, blended, .. } = completion else {
             unreachable!("items answer as such")
         };
@@ -205,7 +206,7 @@ fn stray(
 ) -> Result<f64, RoleError> {
     let shading = stage.shading();
     let pass = |view, draws, part| Pass::Shade { view, shading, draws, with_depth: true, part };
-    let depth = match stage.draw_list(camera, &drawn.draws, pass)? {
+    let depth = match stage.draw_list(camera, &drawn.draws, Needs::Look, pass)? {
         Some(Completion::Picture { picture, .. }) => picture.depth,
         _ => None,
     };

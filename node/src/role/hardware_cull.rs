@@ -7,6 +7,7 @@
 //! proof: whatever of the frame's own front is drawn may hide.
 
 use super::{RoleError, Stage};
+use crate::resident::Needs;
 use protocol::camera::Camera;
 use protocol::id::HlodId;
 use protocol::settings::{Cull, Residency as Promise};
@@ -150,7 +151,7 @@ fn add_occluders(
     stage.begin_drawing()?;
     let promise = stage.settings.residency;
     loop {
-        fresh.retain(|entry| stage.loader.offers_level(entry.level, promise));
+        fresh.retain(|entry| stage.loader.offers_level(entry.level, promise, Needs::Shape));
         let draws = draw_list(&stage.skeleton, &fresh, camera.eye);
         let pass = |view, draws: Draws, part| Pass::Occluders {
             view,
@@ -160,7 +161,7 @@ fn add_occluders(
         };
         // None where a mesh turned out to be unreadable: some of them are drawn, which does no harm.
         let draws = Draws { blending: vec![], ..draws };
-        if stage.draw_list(camera, &draws, pass)?.is_some() {
+        if stage.draw_list(camera, &draws, Needs::Shape, pass)?.is_some() {
             counts.triangles += stage.triangles(&fresh);
             return Ok(());
         }
@@ -176,7 +177,7 @@ fn test_by_triangles(
 ) -> Result<(), RoleError> {
     let is_asked = |one: &Candidate| {
         matches!(one.test, Test::AtEye | Test::Unproven)
-            && stage.loader.offers_level(one.entry.level, Promise::Deadline)
+            && stage.loader.offers_level(one.entry.level, Promise::Deadline, Needs::Shape)
     };
     let asked: Vec<FrontEntry> =
         passed.iter().filter(|one| is_asked(one)).map(|one| one.entry).collect();

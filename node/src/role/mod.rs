@@ -9,7 +9,7 @@ pub(crate) mod render_visible_geometry;
 mod tests;
 
 use crate::open::Distance;
-use crate::resident::{Drawn, Loader};
+use crate::resident::{Drawn, Loader, Needs};
 use protocol::camera::Camera;
 use protocol::format::Skeleton;
 use protocol::id::{FrameIndex, HlodId};
@@ -21,7 +21,6 @@ use scene::draw_list::draw_list;
 use scene::front::{Front, FrontEntry, front_of, whole_cut};
 use scene::occludee::Rules;
 use scene::stand_in::{Available, available};
-use scene::store::StoreError;
 use scene::view_cells::{Cells, Composition};
 use std::sync::Arc;
 
@@ -31,11 +30,8 @@ pub(crate) enum RoleError {
     /// The renderer gave up.
     #[error(transparent)]
     Backend(#[from] BackendError),
-    /// A texture cannot be read.
-    #[error(transparent)]
-    Texture(#[from] StoreError),
-    /// They do not fit.
-    #[error("the textures take more than --memory allows; raise it")]
+    /// The room that is set apart for them is not to be had.
+    #[error("the textures find no room in the memory that --memory allows; raise it")]
     Textures,
     /// What is held for good leaves no stretch of memory long enough for a mesh.
     #[error("a mesh finds no room beside what is held for good; raise --memory")]
@@ -145,7 +141,9 @@ impl<'a> Stage<'a> {
 
     /// What `promise` lets be drawn of `entries` now.
     fn available(&self, entries: &[FrontEntry], promise: Promise) -> Available {
-        available(&self.skeleton, entries, |level| self.loader.offers_level(level, promise))
+        available(&self.skeleton, entries, |level| {
+            self.loader.offers_level(level, promise, Needs::Look)
+        })
     }
 
     /// What is drawn of the far field of a composition, behind all else in the list.
@@ -171,14 +169,14 @@ impl<'a> Stage<'a> {
         if promise == Promise::Deadline {
             let blobs = entries.iter().flat_map(|entry| self.skeleton.blobs_of(entry.level));
             let far = self.far_draws(of, camera).into_iter().map(|draw| draw.blob);
-            self.loader.order_missing(blobs.chain(far).collect::<Vec<_>>());
+            self.loader.order_missing(blobs.chain(far).collect::<Vec<_>>(), Needs::Look);
         }
         loop {
             let mut shown = self.available(&entries, promise);
             let (draws, missing) = self.list(of, camera, &shown.entries, promise);
             // Nothing stands in for a cube.
             shown.holes += missing;
-            if let Some(completion) = self.draw_list(camera, &draws, &pass)? {
+            if let Some(completion) = self.draw_list(camera, &draws, Needs::Look, &pass)? {
                 return Ok((completion, shown, draws));
             }
         }
@@ -196,24 +194,26 @@ impl<'a> Stage<'a> {
         let mut draws = draw_list(&self.skeleton, entries, camera.eye);
         let mut far = self.far_draws(of, camera);
         let wanted = far.len();
-        far.retain(|draw| self.loader.offers(draw.blob, promise));
+        far.retain(|draw| self.loader.offers(draw.blob, promise, Needs::Look));
         let missing = (wanted - far.len()) as u32;
         draws.solid.extend(far);
         (draws, missing)
     }
 
-    /// Draws a list; none where a mesh turned out to be unreadable.
+    /// Draws a list; none where a mesh or a texture turned out to be unreadable.
     fn draw_list(
         &mut self,
         camera: &Camera,
         draws: &Draws,
+        what: Needs,
         pass: impl Fn(View, Draws, Part) -> Pass,
     ) -> Result<Option<Completion>, RoleError> {
         let view = self.view(camera);
-        let drawn = self.loader.stream(self.backend.as_mut(), draws, |backend, draws, part| {
+        let submit = |backend: &mut dyn Backend, draws, part| {
             backend.submit(pass(view, draws, part))?;
             Ok(())
-        })?;
+        };
+        let drawn = self.loader.stream(self.backend.as_mut(), draws, what, submit)?;
         Ok(Some(self.completion()?).filter(|_| drawn == Drawn::Whole))
     }
 
@@ -252,8 +252,7 @@ impl<'a> Stage<'a> {
 
     /// Begins the work of a phase that draws.
     fn begin_drawing(&mut self) -> Result<(), RoleError> {
-        self.loader.begin_drawing(self.backend.as_ref());
-        self.loader.take_in_all(self.backend.as_mut())
+        self.loader.begin_drawing(self.backend.as_mut())
     }
 
     /// Learns what is visible in a frame, as the phase's work is done.

@@ -3,6 +3,7 @@
 //! The depth stays with the backend, where HC(i) tests against it in the next phase.
 
 use super::{RoleError, Stage};
+use crate::resident::Needs;
 use protocol::camera::Camera;
 use protocol::settings::{Cull, Residency as Promise};
 use protocol::telemetry::DrawCounts;
@@ -34,11 +35,12 @@ pub(crate) fn run(
     if promise == Promise::Deadline {
         let skeleton = &stage.skeleton;
         let blobs = wanted.iter().flat_map(|entry| skeleton.blobs_of(entry.level));
-        stage.loader.order_missing(blobs.collect::<Vec<_>>());
+        stage.loader.order_missing(blobs.collect::<Vec<_>>(), Needs::Shape);
     }
     // What is not there is left out: less is culled, and never too much.
     loop {
-        let offered = |entry: &&FrontEntry| stage.loader.offers_level(entry.level, promise);
+        let offered =
+            |entry: &&FrontEntry| stage.loader.offers_level(entry.level, promise, Needs::Shape);
         let entries: Vec<FrontEntry> = wanted.iter().filter(offered).copied().collect();
         let draws = draw_list(&stage.skeleton, &entries, camera.eye);
         let pass = |view, draws: Draws, part| Pass::Occluders {
@@ -48,7 +50,7 @@ pub(crate) fn run(
             part,
         };
         let Some(completion) =
-            stage.draw_list(camera, &Draws { blending: vec![], ..draws }, pass)?
+            stage.draw_list(camera, &Draws { blending: vec![], ..draws }, Needs::Shape, pass)?
         else {
             continue;
         };

@@ -226,8 +226,8 @@ fn where_cells_meet_only_what_both_draw_as_geometry_hides() {
     }
 }
 
-/// Draws all that is in the frustum.
-fn draw_all(stage: &mut Stage<'_>, camera: &Camera) -> IoCounts {
+/// Draws all that is in the frustum; what that loaded, and the picture's hash.
+fn draw_all(stage: &mut Stage<'_>, camera: &Camera) -> (IoCounts, u64) {
     stage.begin_drawing().unwrap();
     let front = stage.front(camera);
     let pass = |view, draws, part| Pass::Shade {
@@ -238,8 +238,92 @@ fn draw_all(stage: &mut Stage<'_>, camera: &Camera) -> IoCounts {
         part,
     };
     let whole = Composition { cell: None, weight: WHOLE };
-    stage.draw(&whole, camera, &front.entries, Promise::Exact, pass).unwrap();
-    stage.take_io()
+    let promise = stage.settings.residency;
+    let (completion, ..) = stage.draw(&whole, camera, &front.entries, promise, pass).unwrap();
+    let Completion::Picture { picture, .. } = completion else { panic!("no picture") };
+    (stage.take_io(), picture_hash(&picture.rgba))
+}
+
+/// Least memory with which a scene can be drawn.
+fn least_memory(settings: &RunSettings) -> u64 {
+    let store = scene::store::Store::open(Path::new(&settings.scene_path)).unwrap();
+    let fits = |memory: u64| {
+        let skeleton = store.skeleton();
+        crate::check_memory(Some(memory), skeleton, settings.residency, settings.far).is_ok()
+    };
+    let (mut too_small, mut enough) = (0, 1 << 30);
+    while enough - too_small > 1 {
+        let middle = (too_small + enough) / 2;
+        *if fits(middle) { &mut enough } else { &mut too_small } = middle;
+    }
+    enough
+}
+
+/// The backends that can be had here.
+fn choices() -> Vec<BackendChoice> {
+    let gpu = crate::choose_backend(BackendChoice::Gpu, SIZE, u64::MAX).is_ok();
+    assert!(gpu || std::env::var("GPU_TESTS").as_deref() != Ok("require"), "no GPU backend");
+    if gpu { vec![BackendChoice::Cpu, BackendChoice::Gpu] } else { vec![BackendChoice::Cpu] }
+}
+
+#[test]
+fn textures_come_and_go_like_meshes_and_the_pictures_stay_the_same() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("scene.occ");
+    crate::fixture::write_with_textures(&path, &street(), 40);
+    for choice in choices() {
+        let draw = |memory: Option<u64>, prefetch: bool| {
+            let base = settings(&path, Cull::Off);
+            let settings = RunSettings { memory, prefetch, backend: choice, ..base };
+            let peak = Arc::default();
+            let mut stage = crate::open::open(&settings, &peak).unwrap().stage;
+            let mut sum = IoCounts::default();
+            let mut hashes = Vec::new();
+            for camera in walk().iter().chain(walk().iter().rev()) {
+                let (io, hash) = draw_all(&mut stage, camera);
+                sum.bytes_read += io.bytes_read;
+                sum.evicted += io.evicted;
+                hashes.push(hash);
+            }
+            let most = peak.load(std::sync::atomic::Ordering::Relaxed);
+            assert!(memory.is_none_or(|cap| most <= cap), "{choice:?}: {most} of {memory:?}");
+            (hashes, sum)
+        };
+        let (whole, all) = draw(None, true);
+        assert_eq!(all.evicted, 0);
+        let skeleton = Arc::clone(scene::store::Store::open(&path).unwrap().skeleton());
+        let textures: u64 = skeleton.textures.iter().map(|texture| texture.bytes).sum();
+        let meshes: u64 = skeleton.blobs.iter().map(|blob| blob.bytes).sum();
+        assert!(all.bytes_read <= textures + meshes, "nothing is read twice");
+        let least = least_memory(&settings(&path, Cull::Off));
+        for cap in [least, least + textures / 8, least + textures / 2] {
+            for prefetch in [false, true] {
+                let (hashes, io) = draw(Some(cap), prefetch);
+                assert_eq!(hashes, whole, "{choice:?} with {cap} bytes");
+                assert!(io.evicted > 0 && io.bytes_read > all.bytes_read, "{cap}: a weak test");
+            }
+        }
+    }
+}
+
+#[test]
+fn with_a_deadline_a_mesh_without_its_textures_is_not_there() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("scene.occ");
+    crate::fixture::write_with_textures(&path, &street(), 40);
+    let base = settings(&path, Cull::Off);
+    let settings = RunSettings { prefetch: false, ..base };
+    let mut stage = stage(&settings, Rules::default(), &Arc::default());
+    draw_all(&mut stage, &walk()[0]);
+    let front = stage.front(&walk()[0]);
+    let level = front.entries[0].level;
+    let is_there =
+        |stage: &Stage<'_>, what| stage.loader.offers_level(level, Promise::Deadline, what);
+    assert!(is_there(&stage, Needs::Look));
+    let blob = stage.skeleton.blobs_of(level).next().unwrap();
+    let texture = scene::asset::Asset::Texture(stage.skeleton.textures_of(blob)[0]);
+    stage.loader.give_up(stage.backend.as_mut(), texture);
+    assert!(!is_there(&stage, Needs::Look) && is_there(&stage, Needs::Shape));
 }
 
 #[test]
@@ -254,12 +338,17 @@ fn textures_and_geometry_are_read_once_and_counted() {
         let mesh = stage.skeleton.blobs[0].bytes;
         let textures: u64 = stage.skeleton.textures.iter().map(|texture| texture.bytes).sum();
         assert_eq!(textures > 0, textured);
-        let first = draw_all(&mut stage, &walk()[0]);
-        assert_eq!((first.hits + first.misses, first.bytes_read), (1, mesh));
+        let (first, _) = draw_all(&mut stage, &walk()[0]);
+        let assets = 1 + u64::from(textured);
+        assert_eq!((first.hits, first.misses, first.bytes_read), (0, assets, mesh + textures));
+        assert!(first.waits > 0 && first.stall_ns > 0);
         let peak = peak.load(std::sync::atomic::Ordering::Relaxed);
-        assert!(peak >= 2 * mesh + textures, "{peak}: with the backend, and on its way");
-        let second = draw_all(&mut stage, &walk()[0]);
-        assert_eq!((second.hits, second.misses, second.bytes_read), (1, 0, 0));
-        assert_eq!((second.events, second.stall_ns), (0, 0));
+        assert!(
+            peak >= stage.skeleton.resident_bytes() + 2 * mesh + textures,
+            "{peak}: always, with the backend, and on its way"
+        );
+        let (second, _) = draw_all(&mut stage, &walk()[0]);
+        assert_eq!((second.hits, second.misses, second.bytes_read), (assets, 0, 0));
+        assert_eq!((second.events, second.waits), (0, 0));
     }
 }

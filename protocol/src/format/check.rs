@@ -27,6 +27,7 @@ pub fn check(skeleton: &Skeleton) -> Result<(), Violation> {
     check_hlods(skeleton)?;
     check_blobs(&skeleton.blobs)?;
     check_textures(&skeleton.textures)?;
+    check_texture_lists(skeleton)?;
     for (i, transform) in skeleton.transforms.iter().enumerate() {
         let numbers = transform.linear.as_flattened().iter().chain(&transform.translation);
         hold(Place::Transform(i as u32), numbers.copied().all(f64::is_finite), Rule::NotFinite)?;
@@ -145,7 +146,9 @@ pub(super) fn check_blobs(blobs: &[Blob]) -> Result<(), Violation> {
             Layout::Projected | Layout::ProjectedNormals => {
                 projected::is_side(side) && tiles <= projected::most_tiles(side)
             }
-            Layout::Plain | Layout::Textured => blob.image == [0; 2],
+            // Where a list of textures lies is held against the lists themselves.
+            Layout::Textured => true,
+            Layout::Plain => blob.image == [0; 2],
         };
         hold(place, possible, Rule::Picture { side, tiles })?;
         let (vertices, triangles, bytes) = (blob.vertices, blob.triangles, blob.bytes);
@@ -194,6 +197,24 @@ fn check_textures(textures: &[Texture]) -> Result<(), Violation> {
         hold(place, texture.reserved == 0, Rule::Reserved)?;
     }
     Ok(())
+}
+
+/// Lists of textured blobs one after another, none left over, each ascending and of textures there are.
+fn check_texture_lists(skeleton: &Skeleton) -> Result<(), Violation> {
+    let (lists, textures) = (&skeleton.texture_lists, skeleton.textures.len());
+    let mut expected = 0u32;
+    for (i, blob) in skeleton.blobs.iter().enumerate().filter(|(_, blob)| blob.is_textured()) {
+        let place = Place::Blob(BlobId(i as u32));
+        let [first, count] = blob.image;
+        let fits = first == expected && count as usize <= lists.len() - expected as usize;
+        hold(place, fits, Rule::TextureRange { first, count, expected })?;
+        let list = &lists[first as usize..][..count as usize];
+        let ascends = list.windows(2).all(|pair| pair[0] < pair[1]);
+        let exist = list.last().is_none_or(|&last| (last as usize) < textures);
+        hold(place, ascends && exist, Rule::TextureList)?;
+        expected += count;
+    }
+    hold(Place::Info, expected as usize == lists.len(), Rule::StrayTextures)
 }
 
 /// Positive, normal, and without a fraction bit.

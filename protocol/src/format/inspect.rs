@@ -117,7 +117,7 @@ pub struct BytesByKind {
     pub blobs: u64,
     /// Transform records.
     pub transforms: u64,
-    /// Texture records.
+    /// Texture records and lists.
     pub textures: u64,
     /// View cell records.
     pub view_cells: u64,
@@ -249,7 +249,8 @@ fn bytes_by_kind(skeleton: &Skeleton) -> BytesByKind {
         parts: size_of_val(&skeleton.parts[..]) as u64,
         blobs: size_of_val(&skeleton.blobs[..]) as u64,
         transforms: size_of_val(&skeleton.transforms[..]) as u64,
-        textures: size_of_val(&skeleton.textures[..]) as u64,
+        textures: (size_of_val(&skeleton.textures[..]) + size_of_val(&skeleton.texture_lists[..]))
+            as u64,
         view_cells: size_of_val(&skeleton.view_cells[..]) as u64,
         cubes: size_of_val(&skeleton.cubes[..]) as u64,
         vertices,
@@ -402,7 +403,7 @@ mod tests {
         ];
         assert_eq!(s.tree, rows);
         assert_eq!((s.bytes.vertices, s.bytes.indices), (160 + 3 * 32, 8 + 12 + 8 + 8));
-        assert_eq!((s.bytes.parts, s.bytes.textures, s.bytes.pixels), (5 * 8, 32, 4 * (4 + 1)));
+        assert_eq!((s.bytes.parts, s.bytes.textures, s.bytes.pixels), (5 * 8, 32 + 4, 4 * (4 + 1)));
         assert_eq!((s.overlap_mean, s.overlap_max), (0.0, 0.0));
     }
 

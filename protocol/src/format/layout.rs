@@ -1,6 +1,6 @@
 //! Header and section table as they lie in the file.
 //!
-//! The layout is canonical: the lengths of the eleven sections determine every offset, so a reader
+//! The layout is canonical: the lengths of the twelve sections determine every offset, so a reader
 //! compares the table with the one it would have written and has nothing left to distrust.
 
 use super::{Blob, Cube, Digest, Hlod, Level, Part, SceneInfo, Texture, Transform, ViewCell};
@@ -47,11 +47,13 @@ pub enum Section {
     ViewCells,
     /// [`Cube`]s.
     Cubes,
+    /// Numbers of textures: the lists of the textured blobs, one after another.
+    TextureLists,
 }
 
 impl Section {
     /// All sections in file order.
-    pub const ALL: [Self; 11] = [
+    pub const ALL: [Self; 12] = [
         Self::Geometry,
         Self::Pixels,
         Self::Info,
@@ -63,6 +65,7 @@ impl Section {
         Self::Textures,
         Self::ViewCells,
         Self::Cubes,
+        Self::TextureLists,
     ];
 
     /// It holds data that is checked piece by piece when it is first used, not a table.
@@ -83,6 +86,7 @@ impl Section {
             Self::Textures => size_of::<Texture>(),
             Self::ViewCells => size_of::<ViewCell>(),
             Self::Cubes => size_of::<Cube>(),
+            Self::TextureLists => size_of::<u32>(),
         };
         bytes as u64
     }
@@ -102,6 +106,7 @@ impl std::fmt::Display for Section {
             Self::Textures => "textures",
             Self::ViewCells => "view cells",
             Self::Cubes => "cubes",
+            Self::TextureLists => "texture lists",
         })
     }
 }
@@ -137,8 +142,6 @@ pub(super) struct Header {
     pub(super) crc: u32,
     pub(super) digest: Digest,
     pub(super) sections: [SectionEntry; Section::ALL.len()],
-    /// Zero.
-    pub(super) reserved: [u32; 8],
 }
 
 impl Header {
@@ -201,21 +204,21 @@ mod tests {
     fn header_is_448_bytes_and_records_have_their_documented_size() {
         assert_eq!(HEADER_BYTES, 448);
         let bytes = Section::ALL.map(Section::record_bytes);
-        assert_eq!(bytes, [64, 64, 224, 80, 24, 8, 96, 96, 32, 72, 64]);
+        assert_eq!(bytes, [64, 64, 224, 80, 24, 8, 96, 96, 32, 72, 64, 4]);
     }
 
     #[test]
     fn offsets_follow_from_lengths() {
-        let header = Header::new([0, 64, 224, 80, 24, 8, 0, 0, 32, 72, 56], [0; 11]).unwrap();
-        let offsets = [448, 448, 512, 768, 896, 960, 1024, 1024, 1024, 1088, 1216];
+        let header = Header::new([0, 64, 224, 80, 24, 8, 0, 0, 32, 72, 56, 4], [0; 12]).unwrap();
+        let offsets = [448, 448, 512, 768, 896, 960, 1024, 1024, 1024, 1088, 1216, 1280];
         assert_eq!(header.sections.map(|s| s.offset), offsets);
-        assert_eq!((header.skeleton_offset(), header.file_bytes), (512, 1280));
+        assert_eq!((header.skeleton_offset(), header.file_bytes), (512, 1344));
     }
 
     #[test]
     fn lengths_that_overflow_have_no_header() {
-        assert_eq!(Header::new([u64::MAX, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0], [0; 11]), None);
-        let twice = [1 << 63, 0, 64, 1 << 63, 0, 0, 0, 0, 0, 0, 0];
-        assert_eq!(Header::new(twice, [0; 11]), None);
+        assert_eq!(Header::new([u64::MAX, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0], [0; 12]), None);
+        let twice = [1 << 63, 0, 64, 1 << 63, 0, 0, 0, 0, 0, 0, 0, 0];
+        assert_eq!(Header::new(twice, [0; 12]), None);
     }
 }

@@ -3,6 +3,7 @@
 
 use super::vertex::{Layout, MAX_BLOB_VERTICES, POSITION_BITS};
 use super::{Blob, NONE, TexturedVertex, Vertex, Vertices, projected};
+use std::collections::BTreeSet;
 
 /// Why a blob's bytes cannot be drawn.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
@@ -24,8 +25,8 @@ pub enum BlobDamage {
         /// Position in the index list.
         index: u32,
     },
-    /// A vertex names no texture.
-    #[error("vertex {vertex} names texture {texture}, which does not exist")]
+    /// A vertex names no texture of the blob's list.
+    #[error("vertex {vertex} names texture {texture}, which is not in its list")]
     Texture {
         /// The vertex.
         vertex: u32,
@@ -126,12 +127,19 @@ pub fn textured_vertices_of<'a>(
     of_vertices.chunks_exact(size_of::<TexturedVertex>()).map(bytemuck::pod_read_unaligned)
 }
 
+/// The textures that the vertices of a blob name, ascending; its bytes have been checked or just made.
+pub(super) fn textures_in(blob: &Blob, bytes: &[u8]) -> Vec<u32> {
+    let named = textured_vertices_of(blob, bytes).map(|vertex| vertex.texture);
+    let all: BTreeSet<u32> = named.filter(|&texture| texture != NONE).collect();
+    all.into_iter().collect()
+}
+
 /// Checks a blob's bytes before anybody draws them: length, checksum, indices, zero bits, that what it
-/// names of `textures` textures exists, and of a face places in its picture and tiles.
+/// names is among `textures`, its list ([`super::Skeleton::textures_of`]), and of a face places in its picture and tiles.
 ///
 /// What passes cannot make a rasteriser read out of bounds. The blob's own record is known to be
 /// good ([`super::check()`]).
-pub fn check_blob(blob: &Blob, bytes: &[u8], textures: u32) -> Result<(), BlobDamage> {
+pub fn check_blob(blob: &Blob, bytes: &[u8], textures: &[u32]) -> Result<(), BlobDamage> {
     let expected = blob_bytes(blob);
     if bytes.len() as u64 != expected || blob.bytes != expected {
         return Err(BlobDamage::Length { found: bytes.len() as u64, expected });
@@ -158,7 +166,7 @@ pub fn check_blob(blob: &Blob, bytes: &[u8], textures: u32) -> Result<(), BlobDa
     }
     for (at, vertex) in (0..).zip(textured_vertices_of(blob, bytes)) {
         let TexturedVertex { tex_coord: [u, v], texture, cutoff, .. } = vertex;
-        if texture != NONE && texture >= textures {
+        if texture != NONE && textures.binary_search(&texture).is_err() {
             return Err(BlobDamage::Texture { vertex: at, texture });
         }
         if ![u, v, cutoff].iter().all(|c| c.is_finite()) {
@@ -190,7 +198,7 @@ mod tests {
         mesh(Vertices::Plain(&[Vertex::zeroed(); 3]))
     }
 
-    fn textured(last: TexturedVertex, textures: u32) -> Result<(), BlobDamage> {
+    fn textured(last: TexturedVertex, textures: &[u32]) -> Result<(), BlobDamage> {
         let first = TexturedVertex { texture: NONE, ..TexturedVertex::zeroed() };
         let (blob, bytes) = mesh(Vertices::Textured(&[first, first, last]));
         assert_eq!(bytes.len(), 3 * 32 + 6 + 2);
@@ -202,16 +210,19 @@ mod tests {
     #[test]
     fn textured_vertices_name_textures_that_exist_at_finite_places() {
         let named = |texture| TexturedVertex { texture, ..TexturedVertex::zeroed() };
-        assert_eq!(textured(named(NONE), 0), Ok(()));
-        assert_eq!(textured(named(1), 2), Ok(()));
-        assert_eq!(textured(named(2), 2), Err(BlobDamage::Texture { vertex: 2, texture: 2 }));
-        assert_eq!(textured(named(0), 0), Err(BlobDamage::Texture { vertex: 2, texture: 0 }));
+        assert_eq!(textured(named(NONE), &[]), Ok(()));
+        assert_eq!(textured(named(1), &[1]), Ok(()));
+        assert_eq!(
+            textured(named(2), &[0, 1, 3]),
+            Err(BlobDamage::Texture { vertex: 2, texture: 2 })
+        );
+        assert_eq!(textured(named(0), &[]), Err(BlobDamage::Texture { vertex: 2, texture: 0 }));
         for bad in [f32::NAN, f32::INFINITY] {
             for at in 0..3 {
                 let mut vertex = named(NONE);
                 let TexturedVertex { tex_coord: [u, v], cutoff, .. } = &mut vertex;
                 *[u, v, cutoff][at] = bad;
-                assert_eq!(textured(vertex, 0), Err(BlobDamage::NotFinite { vertex: 2 }));
+                assert_eq!(textured(vertex, &[]), Err(BlobDamage::NotFinite { vertex: 2 }));
             }
         }
     }
@@ -221,23 +232,23 @@ mod tests {
         let (mut blob, mut bytes) = triangle();
         change(&mut bytes);
         blob.crc = crc32c::crc32c(&bytes);
-        check_blob(&blob, &bytes, 0)
+        check_blob(&blob, &bytes, &[])
     }
 
     #[test]
     fn a_blob_is_padded_to_four_bytes() {
         let (blob, bytes) = triangle();
         assert_eq!(bytes.len(), 3 * 16 + 6 + 2);
-        assert_eq!(check_blob(&blob, &bytes, 0), Ok(()));
+        assert_eq!(check_blob(&blob, &bytes, &[]), Ok(()));
         assert_eq!(vertices_of(&blob, &bytes).count(), 3);
     }
 
     #[test]
     fn short_and_changed_bytes_are_found() {
         let (blob, mut bytes) = triangle();
-        assert!(matches!(check_blob(&blob, &[], 0), Err(BlobDamage::Length { found: 0, .. })));
+        assert!(matches!(check_blob(&blob, &[], &[]), Err(BlobDamage::Length { found: 0, .. })));
         bytes[5] ^= 1;
-        assert_eq!(check_blob(&blob, &bytes, 0), Err(BlobDamage::Checksum));
+        assert_eq!(check_blob(&blob, &bytes, &[]), Err(BlobDamage::Checksum));
     }
 
     #[test]

@@ -367,7 +367,7 @@ mod tests {
         let (mut blob, mut bytes) = face.encode();
         change(&mut bytes);
         (blob.bytes, blob.crc) = (bytes.len() as u64, crc32c::crc32c(&bytes));
-        check_blob(&blob, &bytes, 0)
+        check_blob(&blob, &bytes, &[])
     }
 
     #[test]
@@ -377,7 +377,7 @@ mod tests {
         let Patch { vertices, indices, table, tiles, .. } = Patch::of(&blob, &bytes);
         assert_eq!([vertices.len(), indices.len(), table.len(), tiles.len()], [24, 6, 4, 128]);
         assert_eq!(forged(&face(), |_| ()), Ok(()));
-        let short = check_blob(&Blob { image: [16, 2], ..blob }, &bytes, 0);
+        let short = check_blob(&Blob { image: [16, 2], ..blob }, &bytes, &[]);
         assert!(matches!(short, Err(BlobDamage::Length { expected: 292, .. })), "{short:?}");
     }
 
@@ -392,9 +392,9 @@ mod tests {
         assert_eq!(forged(&face, |_| ()), Ok(()));
         assert_eq!(forged(&face, |b| b[32] = 2), Err(BlobDamage::Tile { entry: 0, tile: 2 }));
         let layout = Layout::Projected as u32;
-        let bare = check_blob(&Blob { layout, ..blob }, &bytes, 0);
+        let bare = check_blob(&Blob { layout, ..blob }, &bytes, &[]);
         assert_eq!(bare, Err(BlobDamage::Length { found: 292, expected: 164 }));
-        let cut = check_blob(&blob, &bytes[..164], 0);
+        let cut = check_blob(&blob, &bytes[..164], &[]);
         assert_eq!(cut, Err(BlobDamage::Length { found: 164, expected: 292 }));
     }
 

@@ -217,7 +217,7 @@ pub fn read_blob(file: &File, scene: &SceneFile, blob: BlobId) -> Result<Vec<u8>
     file.seek(SeekFrom::Start(range.start))
         .and_then(|_| file.take(range.end - range.start).read_to_end(&mut bytes))
         .map_err(|source| BlobReadError::Io { blob, source })?;
-    check_blob(scene.skeleton.blob(blob), &bytes, scene.skeleton.textures.len() as u32)
+    check_blob(scene.skeleton.blob(blob), &bytes, scene.skeleton.textures_of(blob))
         .map_err(|source| BlobReadError::Damaged { blob, source })?;
     Ok(bytes)
 }
@@ -304,6 +304,7 @@ fn parse_skeleton(header: &Header, bytes: &[u8]) -> Result<SceneFile, FormatErro
         textures: section_records(header, bytes, Section::Textures)?,
         view_cells: section_records(header, bytes, Section::ViewCells)?,
         cubes: section_records(header, bytes, Section::Cubes)?,
+        texture_lists: section_records(header, bytes, Section::TextureLists)?,
     };
     super::check(&skeleton)?;
     let of_blobs = skeleton.blobs.last().map_or(0, |b| b.offset + b.bytes);

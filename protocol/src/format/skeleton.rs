@@ -86,7 +86,8 @@ pub struct Blob {
     /// Triangles by [`Class`], in which order they lie. Masked ones have textured vertices; those of a
     /// face are opaque and double-sided.
     pub classes: [u32; Class::COUNT],
-    /// Side in pixels and number of stored tiles of a face's picture; zero for others.
+    /// Side in pixels and number of stored tiles of a face's picture; of a textured mesh where its list
+    /// in [`Skeleton::texture_lists`] begins and how long it is; zero for others.
     pub image: [u32; 2],
 }
 
@@ -229,6 +230,8 @@ pub struct Skeleton {
     pub view_cells: Vec<ViewCell>,
     /// Scan cubes of all of them, cell after cell.
     pub cubes: Vec<Cube>,
+    /// The textures of each textured blob, ascending, blob after blob.
+    pub texture_lists: Vec<u32>,
 }
 
 impl Skeleton {
@@ -240,6 +243,27 @@ impl Skeleton {
     /// The blob `id`.
     pub fn blob(&self, id: BlobId) -> &Blob {
         &self.blobs[id.index()]
+    }
+
+    /// The textures that vertices of a blob may name, ascending: what must be there when it is drawn.
+    pub fn textures_of(&self, id: BlobId) -> &[u32] {
+        let blob = self.blob(id);
+        match blob.is_textured() {
+            true => &self.texture_lists[blob.image[0] as usize..][..blob.image[1] as usize],
+            false => &[],
+        }
+    }
+
+    /// Bytes of all its tables: what stays in memory whatever is drawn (Manocha, section 5.4).
+    pub fn resident_bytes(&self) -> u64 {
+        let Self { info, hlods, levels, parts, blobs, transforms, .. } = self;
+        let Self { textures, view_cells, cubes, texture_lists, .. } = self;
+        let tree = size_of_val(info) + size_of_val(&hlods[..]) + size_of_val(&levels[..]);
+        let meshes =
+            size_of_val(&parts[..]) + size_of_val(&blobs[..]) + size_of_val(&transforms[..]);
+        let pictures = size_of_val(&textures[..]) + size_of_val(&texture_lists[..]);
+        let far = size_of_val(&view_cells[..]) + size_of_val(&cubes[..]);
+        (tree + meshes + pictures + far) as u64
     }
 
     /// Levels of `hlod`, finest first.

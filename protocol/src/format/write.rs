@@ -116,6 +116,8 @@ pub struct SceneWriter {
     /// Bytes of pixels so far, a multiple of [`ALIGNMENT`].
     pixel_bytes: u64,
     textures: Vec<Texture>,
+    /// See [`Skeleton::texture_lists`].
+    texture_lists: Vec<u32>,
 }
 
 impl SceneWriter {
@@ -154,6 +156,7 @@ impl SceneWriter {
             so_far,
             pixel_bytes: 0,
             textures: Vec::new(),
+            texture_lists: Vec::new(),
         }
     }
 
@@ -200,6 +203,11 @@ impl SceneWriter {
             if crc32c::crc32c(own) != blob.crc || padding.iter().any(|&byte| byte != 0) {
                 return Err(bad(format!("blob {id} is damaged")));
             }
+            let list = mesh::textures_in(blob, own);
+            if blob.is_textured() && blob.image != list_at(&writer.texture_lists, &list) {
+                return Err(bad(format!("blob {id} has other textures than it says")));
+            }
+            writer.texture_lists.extend(list);
             writer.hasher.update(&content);
         }
         Ok(writer)
@@ -274,7 +282,14 @@ impl SceneWriter {
             return Err(WriteError::TooMany { path: self.path.clone() });
         }
         let id = BlobId(self.so_far.blobs.len() as u32);
+        let list = mesh::textures_in(&blob, bytes);
+        let image = match blob.is_textured() {
+            true => list_at(&self.texture_lists, &list),
+            false => blob.image,
+        };
+        self.texture_lists.extend(list);
         self.so_far.blobs.push(Blob {
+            image,
             offset: self.so_far.geometry_bytes,
             bytes: bytes.len() as u64,
             crc: crc32c::crc32c(bytes),
@@ -332,6 +347,7 @@ impl SceneWriter {
             textures: std::mem::take(&mut self.textures),
             view_cells: tables.view_cells,
             cubes: tables.cubes,
+            texture_lists: std::mem::take(&mut self.texture_lists),
         };
         let sound = check(&skeleton).and_then(|()| check::check_disjoint(&skeleton.view_cells));
         if let Err(source) = sound {
@@ -393,7 +409,13 @@ fn contents(skeleton: &Skeleton) -> [&[u8]; Section::ALL.len() - 2] {
         bytemuck::cast_slice(&skeleton.textures),
         bytemuck::cast_slice(&skeleton.view_cells),
         bytemuck::cast_slice(&skeleton.cubes),
+        bytemuck::cast_slice(&skeleton.texture_lists),
     ]
+}
+
+/// Where a list will lie behind those before it, as [`Blob::image`] says it.
+fn list_at(before: &[u32], list: &[u32]) -> [u32; 2] {
+    [before.len() as u32, list.len() as u32]
 }
 
 /// The folder `path` lies in.

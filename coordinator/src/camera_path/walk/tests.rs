@@ -40,6 +40,7 @@ fn scene(boxes: &[[[f64; 3]; 2]], up: [f64; 3], shift: f64) -> (Skeleton, Vec<Ve
         blobs: Vec::new(),
         transforms: Vec::new(),
         textures: Vec::new(),
+        texture_lists: Vec::new(),
         view_cells: Vec::new(),
         cubes: Vec::new(),
     };

@@ -8,7 +8,7 @@ use protocol::id::BlobId;
 use rand::rngs::StdRng;
 use rand::{Rng, SeedableRng};
 use scene::backend::cpu::CpuBackend;
-use scene::backend::{Backend, Draw, NO_ITEM, Part, Picture, Shading, Upload};
+use scene::backend::{Backend, Draw, NO_ITEM, Part, Picture, Shading, Upload, upload_textures};
 
 const WIDTH: u32 = 127;
 const HEIGHT: u32 = 95;
@@ -34,7 +34,7 @@ impl Both {
         let textures: Vec<_> = made.iter().map(|(texture, bytes)| (*texture, &bytes[..])).collect();
         let backends: [&mut dyn Backend; 2] = [&mut both.gpu, &mut both.cpu];
         for backend in backends {
-            let upload = backend.upload_textures(&textures).expect("sound textures");
+            let upload = upload_textures(backend, &textures).expect("sound textures");
             assert_eq!(upload, Upload::Done);
         }
         Some(both)

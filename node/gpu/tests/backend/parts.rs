@@ -11,6 +11,7 @@ use rand::{Rng, SeedableRng};
 use scene::backend::cpu::CpuBackend;
 use scene::backend::{
     Backend, BoxQuery, Completion, Draw, Draws, NO_ITEM, Part, Pass, Shading, UNLIMITED, Upload,
+    upload_textures,
 };
 
 const WIDTH: u32 = 97;
@@ -56,7 +57,7 @@ impl Crowd {
 
     fn textures(&self, backend: &mut impl Backend) {
         let textures: Vec<_> = self.textures.iter().map(|(t, bytes)| (*t, &bytes[..])).collect();
-        assert_eq!(backend.upload_textures(&textures).expect("sound textures"), Upload::Done);
+        assert_eq!(upload_textures(backend, &textures).expect("sound textures"), Upload::Done);
     }
 
     fn upload(&self, backend: &mut impl Backend, id: u32) -> Upload {

@@ -17,6 +17,7 @@ use rand::{Rng, SeedableRng};
 use scene::backend::cpu::CpuBackend;
 use scene::backend::{
     Backend, BoxQuery, Completion, Draw, Draws, NO_ITEM, Part, Pass, Picture, Shading, Upload,
+    upload_textures,
 };
 
 /// Pixels that are off by more than so many levels of a channel.
@@ -301,7 +302,7 @@ fn textured_square(backend: &mut impl Backend, id: u32) {
     let bytes = mips(8, &rgba);
     let length = bytes.len() as u64;
     let record = Texture { offset: 0, bytes: length, side: 8, wrap: 0, crc: 0, reserved: 0 };
-    assert_eq!(backend.upload_textures(&[(record, &bytes)]).expect("sound"), Upload::Done);
+    assert_eq!(upload_textures(backend, &[(record, &bytes)]).expect("sound"), Upload::Done);
     let vertices = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]].map(|at| TexturedVertex {
         plain: vertex(at, [0.0, 0.0, 1.0], !0),
         tex_coord: [at[0] as f32, at[1] as f32],

@@ -14,12 +14,17 @@ pub mod cpu;
 pub mod light;
 pub mod normal;
 mod part;
+mod texture_room;
 
 pub use part::{Part, UnderWay};
+pub use texture_room::{
+    LARGEST_STORED_SIDE, list_bytes, page_side, stored_bytes, stored_mips, stored_shape,
+    texture_room,
+};
 
 use crate::occludee::Precision;
 use crate::store::{Store, StoreError};
-use protocol::format::{Blob, Texture, Wrap, texture};
+use protocol::format::{Blob, Texture};
 use protocol::id::{BlobId, HlodId};
 use protocol::settings::{Cull, PictureSize};
 use protocol::sun::Sun;
@@ -76,24 +81,6 @@ pub struct Draws {
 
 /// A texture's record and its mips as they lie in the file.
 pub type TextureUpload<'a> = (Texture, &'a [u8]);
-
-/// Most pixels along a side of what a backend stores; larger mips are left out.
-pub const LARGEST_STORED_SIDE: u32 = 1024;
-
-/// Side, wrap modes and mips of a texture as a backend stores it. The bytes may come from anywhere.
-pub fn stored_mips<'a>(
-    record: &Texture,
-    bytes: &'a [u8],
-) -> Result<(u32, [Wrap; 2], &'a [u8]), BackendError> {
-    let damaged = || BackendError::Device(format!("a texture of side {} is damaged", record.side));
-    let wrap = Wrap::unpack(record.wrap).ok_or_else(damaged)?;
-    if !texture::is_side(record.side) || bytes.len() as u64 != texture::mip_bytes(record.side) {
-        return Err(damaged());
-    }
-    let side = record.side.min(LARGEST_STORED_SIDE);
-    let left_out = bytes.len() - texture::mip_bytes(side) as usize;
-    Ok((side, wrap, &bytes[left_out..]))
-}
 
 /// An eye-relative box, already grown. It does not hold the eye, and nothing of it that the picture shows
 /// lies before the near plane.
@@ -283,9 +270,22 @@ pub trait Backend {
     /// not fall when a blob is evicted.
     fn held_bytes(&self) -> u64;
 
-    /// Takes all textures of the scene, by their index, in place of any before. They come before the
-    /// first textured blob.
-    fn upload_textures(&mut self, textures: &[TextureUpload<'_>]) -> Result<Upload, BackendError>;
+    /// Names all textures of the scene, in place of any before, and sets room apart for them: what all of
+    /// them take ([`texture_room`]), `room` bytes at most. Meshes have the rest of the budget. None of the
+    /// textures is there yet. `Full`, and nothing changed, where meshes leave no such room.
+    fn declare_textures(&mut self, textures: &[Texture], room: u64)
+    -> Result<Upload, BackendError>;
+
+    /// Takes the mips of the declared texture of this index, before the first pass whose meshes name it; one
+    /// that is there stays as it is. `Full`: evicting textures makes room, and into room without any fits
+    /// what [`texture_room`] says.
+    fn upload_texture(&mut self, index: u32, bytes: &[u8]) -> Result<Upload, BackendError>;
+
+    /// Forgets a texture. Passes that were submitted still show it.
+    fn evict_texture(&mut self, index: u32);
+
+    /// Waits until all that was uploaded lies where passes read it, so that none of them waits for that.
+    fn settle(&mut self) -> Result<(), BackendError>;
 
     /// Takes a blob's bytes: [`protocol::format::vertex`] vertices, then 16-bit indices, or those of a
     /// [`protocol::format::projected`] blob. Of `blob` it reads counts, layout, classes and the picture's
@@ -308,21 +308,36 @@ pub trait Backend {
     fn poll(&mut self, completions: &mut Vec<Completion>) -> Result<(), BackendError>;
 }
 
-/// Hands all textures of a scene to a backend, which has none of it yet.
+/// Declares and uploads textures that are all to be there at once.
+pub fn upload_textures(
+    backend: &mut dyn Backend,
+    textures: &[TextureUpload<'_>],
+) -> Result<Upload, BackendError> {
+    let records: Vec<Texture> = textures.iter().map(|(record, _)| *record).collect();
+    let mut upload = backend.declare_textures(&records, UNLIMITED)?;
+    for ((_, bytes), index) in textures.iter().zip(0..) {
+        if upload == Upload::Full {
+            break;
+        }
+        upload = backend.upload_texture(index, bytes)?;
+    }
+    Ok(upload)
+}
+
+/// [`upload_textures`] of a whole scene; the backend has none of it yet.
 pub fn upload_textures_of<E: From<StoreError> + From<BackendError>>(
     store: &Store,
     backend: &mut dyn Backend,
 ) -> Result<Upload, E> {
     let records = &store.skeleton().textures;
-    if records.is_empty() {
-        return Ok(Upload::Done);
+    let mut upload = backend.declare_textures(records, UNLIMITED)?;
+    for index in 0..records.len() as u32 {
+        if upload == Upload::Full {
+            break;
+        }
+        upload = backend.upload_texture(index, &store.load_texture(index)?)?;
     }
-    let load = |index| store.load_texture(index);
-    let mips: Vec<Vec<u8>> =
-        (0..records.len() as u32).map(load).collect::<Result<_, StoreError>>()?;
-    let textures: Vec<TextureUpload<'_>> =
-        records.iter().zip(&mips).map(|(record, mips)| (*record, &mips[..])).collect();
-    Ok(backend.upload_textures(&textures)?)
+    Ok(upload)
 }
 
 #[cfg(test)]
@@ -340,19 +355,5 @@ mod tests {
             draw.linear[k] = draw.linear[k].map(|c| -c * 1e-20);
             assert_eq!(draw.is_mirrored(), mirrored);
         }
-    }
-
-    #[test]
-    fn textures_beyond_the_largest_side_lose_their_largest_mips() {
-        let record = |side, bytes| Texture { offset: 0, bytes, side, wrap: 0, crc: 0, reserved: 0 };
-        let bytes = vec![7; texture::mip_bytes(2048) as usize];
-        let (side, _, mips) = stored_mips(&record(2048, 0), &bytes).unwrap();
-        assert_eq!((side, mips.len() as u64), (1024, texture::mip_bytes(1024)));
-        let one = stored_mips(&record(1, 0), &[1, 2, 3, 4]).unwrap();
-        assert_eq!(one, (1, [Wrap::Repeat; 2], &[1, 2, 3, 4][..]));
-        for side in [0, 2, 3, u32::MAX] {
-            assert!(stored_mips(&record(side, 4), &[1, 2, 3, 4]).is_err(), "{side}");
-        }
-        assert!(stored_mips(&Texture { wrap: 3, ..record(1, 4) }, &[1, 2, 3, 4]).is_err());
     }
 }

@@ -320,6 +320,24 @@ pub enum Rule {
         /// What its side calls for.
         expected: u64,
     },
+    /// Lists of textures of consecutive textured blobs lie one after another.
+    #[error(
+        "its textures {first}..+{count} do not follow those of the blob before, which end at {expected}"
+    )]
+    TextureRange {
+        /// First of its list.
+        first: u32,
+        /// How many.
+        count: u32,
+        /// Where the first should be.
+        expected: u32,
+    },
+    /// A list of textures ascends and names textures there are.
+    #[error("its list of textures does not ascend or names one that does not exist")]
+    TextureList,
+    /// Every list of textures belongs to a blob.
+    #[error("texture lists are left over")]
+    StrayTextures,
     /// Measures are counts and lengths.
     #[error("a measured quality is negative")]
     Negative,

@@ -135,6 +135,24 @@ fn triangles_have_classes_and_masks_textured_vertices() {
 }
 
 #[test]
+fn texture_lists_follow_one_another_and_name_what_there_is() {
+    assert_eq!(fixture::skeleton().textures_of(BlobId(3)), [0]);
+    assert!(fixture::skeleton().textures_of(BlobId(0)).is_empty(), "it is not textured");
+    for [first, count] in [[1, 0], [1, 1], [0, 2], [0, u32::MAX], [u32::MAX, 1]] {
+        let found = broken(|s| s.blobs[3].image = [first, count]);
+        let rule = Rule::TextureRange { first, count, expected: 0 };
+        assert_eq!(found, Violation { place: blob(3), rule });
+    }
+    assert_eq!(broken(|s| s.texture_lists[0] = 1).rule, Rule::TextureList, "there is one texture");
+    let twice = broken(|s| {
+        s.texture_lists.push(0);
+        s.blobs[3].image[1] = 2;
+    });
+    assert_eq!(twice, Violation { place: blob(3), rule: Rule::TextureList });
+    assert_eq!(broken(|s| s.texture_lists.push(0)).rule, Rule::StrayTextures);
+}
+
+#[test]
 fn textures_are_squares_with_all_their_mips_in_a_row() {
     let texture = |change: fn(&mut Texture)| broken(|s| change(&mut s.textures[0]));
     assert_eq!(texture(|t| t.side = 3).place, Place::Texture(0));
@@ -238,7 +256,6 @@ fn patches_alone_have_pictures_and_begin_with_a_tile() {
         assert_eq!(found, Violation { place: blob(id as u32), rule });
     };
     picture(0, [0, 1]);
-    picture(3, [16, 0]);
     for side in [0, 8, 40, 8192, u32::MAX] {
         picture(4, [side, 0]);
     }

@@ -16,15 +16,15 @@ mod target;
 mod texture;
 
 use super::{
-    Backend, BackendError, BoxQuery, Completion, Draw, Part, Pass, Picture, TextureUpload, Ticket,
-    UNLIMITED, UnderWay, Upload, View,
+    Backend, BackendError, BoxQuery, Completion, Draw, Part, Pass, Picture, Ticket, UNLIMITED,
+    UnderWay, Upload, View, stored_bytes, stored_shape, texture_room,
 };
 use crate::occludee::{Precision, Rules};
 use canvas::{Canvas, Layer};
 use mesh::Mesh;
 use paint::Painter;
 use project::Projection;
-use protocol::format::Blob;
+use protocol::format::{Blob, Texture};
 use protocol::id::BlobId;
 use protocol::settings::PictureSize;
 use protocol::telemetry::BackendInfo;
@@ -180,18 +180,38 @@ impl Backend for CpuBackend {
         self.mesh_bytes + self.textures.held_bytes()
     }
 
-    fn upload_textures(&mut self, textures: &[TextureUpload<'_>]) -> Result<Upload, BackendError> {
-        let needed = texture::bytes_of(textures)?;
-        if self.mesh_bytes.saturating_add(needed) > self.budget {
+    fn declare_textures(
+        &mut self,
+        textures: &[Texture],
+        room: u64,
+    ) -> Result<Upload, BackendError> {
+        textures.iter().try_for_each(|texture| stored_shape(texture).map(drop))?;
+        let all = texture_room(textures, textures.iter().map(stored_bytes).sum());
+        let room = room.min(all);
+        if self.mesh_bytes.saturating_add(room) > self.budget {
             return Ok(Upload::Full);
         }
-        self.textures.set(textures)?;
+        self.textures.declare(textures, room);
         Ok(Upload::Done)
+    }
+
+    fn upload_texture(&mut self, index: u32, bytes: &[u8]) -> Result<Upload, BackendError> {
+        self.textures.upload(index, bytes)
+    }
+
+    fn evict_texture(&mut self, index: u32) {
+        self.textures.evict(index);
+    }
+
+    fn settle(&mut self) -> Result<(), BackendError> {
+        // What was uploaded was copied.
+        Ok(())
     }
 
     fn upload(&mut self, id: BlobId, blob: &Blob, bytes: &[u8]) -> Result<Upload, BackendError> {
         let needed = mesh::bytes_of(id, blob, bytes)?;
-        if self.held_bytes().saturating_add(needed) > self.budget {
+        let taken = self.mesh_bytes.saturating_add(self.textures.room());
+        if taken.saturating_add(needed) > self.budget {
             return Ok(Upload::Full);
         }
         let mesh = Mesh::read(id, blob, bytes)?;

@@ -3,9 +3,9 @@
 //! Colours are decoded from sRGB before they are filtered. The mip is chosen by the longer of the two
 //! steps that texture coordinates make to the next pixel, across and down (OpenGL 4.6, section 8.14).
 
-use crate::backend::{BackendError, TextureUpload, stored_mips};
-use protocol::format::Wrap;
+use crate::backend::{BackendError, Upload, stored_mips};
 use protocol::format::texture::srgb_to_linear;
+use protocol::format::{Texture as Record, Wrap};
 
 /// Texture coordinates at a pixel, and how they change to the next.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -15,17 +15,15 @@ pub(super) struct Footprint {
     pub(super) down: [f32; 2],
 }
 
-/// Bytes that textures will take.
-///
-/// Errors: `Device` for bytes that are no texture.
-pub(super) fn bytes_of(textures: &[TextureUpload<'_>]) -> Result<u64, BackendError> {
-    textures.iter().map(|(texture, bytes)| Ok(stored_mips(texture, bytes)?.2.len() as u64)).sum()
-}
-
-/// All textures of a scene.
+/// The textures of a scene that are there.
 pub(super) struct Textures {
     linear: Vec<f32>,
-    all: Vec<Texture>,
+    declared: Vec<Record>,
+    /// By index.
+    all: Vec<Option<Texture>>,
+    /// Most bytes of pixels.
+    room: u64,
+    held: u64,
 }
 
 struct Texture {
@@ -38,23 +36,49 @@ struct Texture {
 impl Textures {
     /// None at all.
     pub(super) fn new() -> Self {
-        Self { linear: (0..=u8::MAX).map(srgb_to_linear).collect(), all: Vec::new() }
+        let linear = (0..=u8::MAX).map(srgb_to_linear).collect();
+        Self { linear, declared: Vec::new(), all: Vec::new(), room: 0, held: 0 }
     }
 
     /// Bytes of all pixels.
     pub(super) fn held_bytes(&self) -> u64 {
-        self.all.iter().map(|texture| size_of_val(&*texture.pixels) as u64).sum()
+        self.held
     }
 
-    /// Takes all textures anew; those before are gone when the first of these comes.
-    pub(super) fn set(&mut self, textures: &[TextureUpload<'_>]) -> Result<(), BackendError> {
-        self.all.clear();
-        let read = |(texture, bytes): &TextureUpload<'_>| {
-            let (side, wrap, bytes) = stored_mips(texture, bytes)?;
-            Ok(Texture { side, wrap, pixels: bytes.as_chunks::<4>().0.into() })
-        };
-        self.all = textures.iter().map(read).collect::<Result<_, BackendError>>()?;
-        Ok(())
+    /// Bytes that are set apart for them.
+    pub(super) fn room(&self) -> u64 {
+        self.room
+    }
+
+    /// Declares textures in place of all before, which go.
+    pub(super) fn declare(&mut self, textures: &[Record], room: u64) {
+        self.declared = textures.to_vec();
+        self.all = textures.iter().map(|_| None).collect();
+        (self.room, self.held) = (room, 0);
+    }
+
+    /// Takes one, unless it is there.
+    ///
+    /// Errors: `Device` for bytes that are no texture.
+    pub(super) fn upload(&mut self, index: u32, bytes: &[u8]) -> Result<Upload, BackendError> {
+        let at = index as usize;
+        let (side, wrap, bytes) = stored_mips(&self.declared[at], bytes)?;
+        if self.all[at].is_some() {
+            return Ok(Upload::Done);
+        }
+        if self.held + bytes.len() as u64 > self.room {
+            return Ok(Upload::Full);
+        }
+        self.held += bytes.len() as u64;
+        self.all[at] = Some(Texture { side, wrap, pixels: bytes.as_chunks::<4>().0.into() });
+        Ok(Upload::Done)
+    }
+
+    /// Forgets one; nothing happens if it is not there.
+    pub(super) fn evict(&mut self, index: u32) {
+        if let Some(texture) = self.all[index as usize].take() {
+            self.held -= size_of_val(&*texture.pixels) as u64;
+        }
     }
 
     /// Linear values of an sRGB-encoded colour.
@@ -64,7 +88,7 @@ impl Textures {
 
     /// Linear colour and alpha; white where there is no such texture.
     pub(super) fn sample(&self, index: u32, footprint: &Footprint) -> [f32; 4] {
-        let Some(texture) = self.all.get(index as usize) else { return [1.0; 4] };
+        let Some(Some(texture)) = self.all.get(index as usize) else { return [1.0; 4] };
         let side = texture.side as f32;
         let squared = |[u, v]: [f32; 2]| (u * u + v * v) * (side * side);
         let longest = squared(footprint.across).max(squared(footprint.down));
@@ -133,7 +157,6 @@ fn wrapped(at: i32, side: u32, wrap: Wrap) -> u32 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use protocol::format::Texture as Record;
     use protocol::format::texture::mips;
 
     fn textures(side: u32, wrap: [Wrap; 2], rgba: &[u8]) -> Textures {
@@ -147,7 +170,8 @@ mod tests {
             reserved: 0,
         };
         let mut textures = Textures::new();
-        textures.set(&[(record, &bytes)]).unwrap();
+        textures.declare(&[record], record.bytes);
+        assert_eq!(textures.upload(0, &bytes).unwrap(), Upload::Done);
         textures
     }
 
