@@ -107,6 +107,24 @@ fn whatever_dies_first_nobody_stays_behind() {
     assert_gone(&run.nodes);
 }
 
+/// The picture thread opens a pipe that nobody reads where it means to write a file, four pictures pile up, and
+/// the render thread hangs handing over the next, as it would in a driver. Its process answers pings.
+#[test]
+fn a_render_thread_that_hangs_is_named_and_nobody_stays_behind() {
+    let scene = Scene::synth("plant", 200_000);
+    let out = scene.file("hang");
+    let extra = ["--out", text(&out), "--pictures", "png", "--phase-limit", "3"];
+    let run = LongRun::start(&scene, &extra);
+    for pid in &run.nodes {
+        let pipe = out.join(format!("frames/.000600.png.{pid}.tmp"));
+        assert!(Command::new("mkfifo").arg(&pipe).status().unwrap().success());
+    }
+    let (code, says) = run.end();
+    assert_eq!(code, Some(69), "{says}");
+    assert!(says.contains("seat 2 has been at RVG(605) for 3 s"), "{says}");
+    assert!(says.contains("--phase-limit"), "{says}");
+}
+
 /// No half-written file: every picture ends as a PNG does, nothing temporary is left.
 fn assert_whole(out: &Path) {
     for entry in std::fs::read_dir(out.join("frames")).unwrap() {

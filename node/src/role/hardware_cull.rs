@@ -1,8 +1,9 @@
 //! HC(i): V_i, the part of the front F_i whose boxes pass against the depth of OR(i) (paper 004,
 //! sections 4.2 and 4.4).
 //!
-//! Answers are handed on as they come, in id order, so that the receivers of V_i work while the rest
-//! is still being tested.
+//! Answers are handed on as the backend gives them, in id order: the receivers of V_i read them while the
+//! rest is being tested, and begin to work when all have come. A backend answers some thousands of boxes
+//! at once, so in a scene with fewer nothing overlaps.
 
 use super::{RoleError, Stage};
 use protocol::camera::Camera;
@@ -23,7 +24,7 @@ pub(crate) struct Part {
 }
 
 /// Finds V_i and hands it to `tell` in parts. What the wire makes of it is counted elsewhere:
-/// `changed`, `ids_delta` and `ids_full` stay 0.
+/// `leaving`, `entering` and all `ids_*` stay 0.
 pub(crate) fn run(
     stage: &mut Stage<'_>,
     camera: &Camera,

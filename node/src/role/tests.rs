@@ -85,7 +85,7 @@ fn play_on(mut stage: Stage<'_>, cameras: &[Camera]) -> Vec<Seen> {
         });
         visible = VisibleSet::from_sorted(ids);
         let drawn = render_visible_geometry::run(&mut stage, camera, &visible, true).unwrap();
-        let measured = measure(&mut stage, camera, &drawn, true, true).unwrap();
+        let measured = measure(&mut stage, camera, &drawn, true, true).unwrap().unwrap();
         Seen {
             culled: culled.unwrap(),
             drawn: drawn.counts.hlods,
