@@ -64,15 +64,15 @@ pub fn html(summary: &Summary, rows: &[FrameRow], frames_dir: &Path) -> String {
             ],
         ),
         plot(
-            "Ids",
+            "Change of the visible set",
             "bytes a frame",
             &[
-                curve("coded change", |r| r.ids_delta),
+                curve("code", |r| r.ids_delta),
                 curve("its entropy bound", |r| r.entropy_bound),
-                curve("as sent", |r| f64::from(r.ids_sent)),
-                curve("full set", |r| f64::from(r.ids_full)),
+                curve("as sent, with counts", |r| f64::from(r.ids_sent)),
             ],
         ),
+        plot("The whole visible set", "bytes a frame", &[curve("ids", |r| f64::from(r.ids_full))]),
         plot(
             "Hlods",
             "count",

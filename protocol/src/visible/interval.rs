@@ -11,8 +11,8 @@ const NARROW: u64 = 1 << (WINDOW - 8);
 
 /// One end of a code: the writer is told each decision, the reader tells it.
 pub(super) trait Decide {
-    /// Decides with odds of `share` in `total` for yes, `0 < share < total < 2^64 / 2^8`. The writer
-    /// codes `wanted` and returns it; the reader does not look at it.
+    /// Decides with odds of `share` in `total` for yes, `0 < share < total`. The writer codes `wanted` and
+    /// returns it; the reader does not look at it.
     fn decide(&mut self, wanted: bool, share: u64, total: u64) -> bool;
 }
 
