@@ -11,6 +11,7 @@ use fixture::{street, write};
 use protocol::camera::Camera;
 use protocol::message::FailureKind;
 use protocol::schedule::{Phase, Role};
+use protocol::session::coordinator::Policy;
 use protocol::settings::{
     AuditAgainst, BackendChoice, Cull, PictureSize, Residency, RunSettings, Schedule,
 };
@@ -67,7 +68,8 @@ fn replay(
     };
     change(&mut settings);
     let mut phases_seen = 0;
-    let plan = RunPlan { settings, cameras: cameras(frames), rig: threads() };
+    let (policy, memory_cap) = (Policy::default(), None);
+    let plan = RunPlan { settings, cameras: cameras(frames), rig: threads(), policy, memory_cap };
     let record = run(plan, &mut |_| phases_seen += 1)?;
     assert_eq!(phases_seen, record.phases.len());
     Ok(record)
@@ -83,8 +85,7 @@ fn work(record: &RunRecord, role: Role) -> Vec<WorkReport> {
 }
 
 fn hashes(record: &RunRecord) -> Vec<u64> {
-    let drawn = work(record, Role::RenderVisibleGeometry);
-    drawn.iter().map(|work| work.draw.unwrap().picture_hash.unwrap()).collect()
+    record.pictures.values().map(|picture| picture.hash).collect()
 }
 
 #[test]
@@ -97,6 +98,10 @@ fn a_walk_is_replayed_without_a_lost_pixel() {
     let drawn = work(&record, Role::RenderVisibleGeometry);
     let culled = work(&record, Role::HardwareCull);
     assert_eq!((drawn.len(), culled.len()), (8, 8));
+    assert_eq!(
+        record.pictures.keys().map(|frame| frame.0).collect::<Vec<_>>(),
+        Vec::from_iter(0..8)
+    );
     for (drawn, culled) in drawn.iter().zip(&culled) {
         let (draw, cull) = (drawn.draw.unwrap(), culled.cull.unwrap());
         assert_eq!(draw.audit.unwrap().differing_pixels, 0);

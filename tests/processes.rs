@@ -107,6 +107,29 @@ fn whatever_dies_first_nobody_stays_behind() {
     assert_gone(&run.nodes);
 }
 
+/// The picture thread opens a pipe that nobody reads where it means to write a file, four pictures pile up, and
+/// the render thread hangs handing over the next, as it would in a driver. Its process answers pings.
+#[test]
+fn a_render_thread_that_hangs_is_named_and_nobody_stays_behind() {
+    let scene = Scene::synth("plant", 200_000);
+    let out = scene.file("hang");
+    let extra = ["--out", text(&out), "--pictures", "png", "--phase-limit", "3"];
+    let run = LongRun::start(&scene, &extra);
+    let written = std::fs::read_dir(out.join("frames")).unwrap().flatten();
+    let newest =
+        written.filter_map(|entry| entry.path().file_stem()?.to_str()?.parse::<u32>().ok());
+    let blocked = newest.max().unwrap_or(0) + 60;
+    for pid in &run.nodes {
+        let pipe = out.join(format!("frames/.{blocked:06}.png.{pid}.tmp"));
+        assert!(Command::new("mkfifo").arg(&pipe).status().unwrap().success());
+    }
+    let (code, says) = run.end();
+    assert_eq!(code, Some(69), "{says}");
+    let hangs = format!("seat 2 has been at RVG({}) for 3 s", blocked + 5);
+    assert!(says.contains(&hangs), "{says}");
+    assert!(says.contains("--phase-limit"), "{says}");
+}
+
 /// No half-written file: every picture ends as a PNG does, nothing temporary is left.
 fn assert_whole(out: &Path) {
     for entry in std::fs::read_dir(out.join("frames")).unwrap() {

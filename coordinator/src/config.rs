@@ -6,6 +6,7 @@ use protocol::settings::{
 use protocol::sun::Sun;
 use serde::{Deserialize, Deserializer};
 use std::net::SocketAddr;
+use std::num::NonZeroU32;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
@@ -76,6 +77,10 @@ pub struct Rig {
     pub far_cubes: Option<u32>,
     /// Triangles of cubes at most.
     pub far_triangles: Option<u64>,
+    /// Whether seats may draw with different renderers.
+    pub mixed: Option<bool>,
+    /// Seconds without any report after which a phase has failed.
+    pub phase_limit: Option<NonZeroU32>,
 }
 
 impl Rig {
@@ -320,6 +325,8 @@ mod tests {
             "memory = \"much\"",
             "residency = \"lazy\"",
             "prefetch = true",
+            "mixed = \"on\"",
+            "phase_limit = 0",
             "lod = -1.0",
             "lod = nan",
             "near = 0.0",

@@ -1,9 +1,10 @@
 //! What a run leaves behind in memory, before anything is written.
 
-use protocol::id::Seat;
+use protocol::id::{FrameIndex, Seat};
 use protocol::schedule::Phase;
 use protocol::settings::RunSettings;
 use protocol::telemetry::{BackendInfo, Nanos, PhaseReport};
+use std::collections::BTreeMap;
 
 /// A node's clock against the coordinator's: `coordinator = node + offset`.
 ///
@@ -46,6 +47,15 @@ pub struct PhaseRecord {
     pub control_sent: u64,
 }
 
+/// What is known of a picture beside its phase.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct PictureRecord {
+    /// First 8 bytes of the BLAKE3 of its RGBA bytes.
+    pub hash: u64,
+    /// How long hashing took, on a thread of its own.
+    pub hashing: Nanos,
+}
+
 /// A whole run.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RunRecord {
@@ -53,8 +63,12 @@ pub struct RunRecord {
     pub settings: RunSettings,
     /// Processes that rendered: 1 or 3.
     pub processes: u32,
+    /// Most bytes of geometry and textures that each process was given; none leaves it to the nodes.
+    pub memory_cap: Option<u64>,
     /// The nodes, by seat.
     pub nodes: Vec<NodeRecord>,
-    /// The phases in order.
+    /// The phases in order. Each ends when the next one starts.
     pub phases: Vec<PhaseRecord>,
+    /// Every picture.
+    pub pictures: BTreeMap<FrameIndex, PictureRecord>,
 }

@@ -3,12 +3,12 @@
 
 use crate::launch::{Children, PATIENCE};
 use crate::net::{self, Event, Outbox};
-use crate::record::{PhaseRecord, RunRecord};
+use crate::record::{PhaseRecord, PictureRecord, RunRecord};
 use crate::tally::Tally;
 use protocol::camera::Camera;
 use protocol::message::{FailureKind, Message, Token};
 use protocol::schedule::SEATS;
-use protocol::session::coordinator::{Coordinator, LinkId, Output};
+use protocol::session::coordinator::{Coordinator, LinkId, Output, Policy};
 use protocol::settings::RunSettings;
 use protocol::telemetry::Nanos;
 use std::collections::BTreeMap;
@@ -53,6 +53,10 @@ pub struct RunPlan {
     pub cameras: Vec<Camera>,
     /// Where the nodes live.
     pub rig: Rig,
+    /// What the run puts up with.
+    pub policy: Policy,
+    /// Most bytes of geometry and textures that each process was given, for the record.
+    pub memory_cap: Option<u64>,
 }
 
 /// Why a run did not end as it should.
@@ -98,7 +102,7 @@ async fn conduct(
     token: Token,
     progress: &mut dyn FnMut(&PhaseRecord),
 ) -> Result<RunRecord, RunError> {
-    let RunPlan { settings, cameras, rig } = plan;
+    let RunPlan { settings, cameras, rig, policy, memory_cap } = plan;
     let interrupted = interrupted()?;
     tokio::pin!(interrupted);
     let (sender, mut events) = mpsc::channel(QUEUED);
@@ -107,7 +111,7 @@ async fn conduct(
     let start = Instant::now();
     let mut conductor = Conductor {
         start,
-        session: Coordinator::new(0, token, settings.clone(), cameras),
+        session: Coordinator::new(0, token, settings.clone(), cameras, policy),
         links: BTreeMap::new(),
         tally: Tally::default(),
         control_sent: 0,
@@ -138,7 +142,7 @@ async fn conduct(
         Ok(()) => {
             conductor.hang_up().await;
             nodes.end(FLUSH).await.map_or(Ok(()), Err)?;
-            conductor.tally.finish(settings, processes)
+            conductor.tally.finish(settings, processes, memory_cap)
         }
         Err(error) => {
             conductor.tell_all(&error).await;
@@ -336,6 +340,9 @@ impl Conductor {
                 }
                 Output::PhaseStarted { phase, at } => self.tally.phase_started(phase, at),
                 Output::Report { seat, report } => self.tally.report(seat, report),
+                Output::Picture { frame, hash, hashing } => {
+                    self.tally.picture(frame, PictureRecord { hash, hashing });
+                }
                 Output::PhaseEnded { phase, at } => {
                     progress(self.tally.phase_ended(phase, at, self.control_sent));
                 }

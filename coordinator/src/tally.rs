@@ -1,8 +1,8 @@
 //! Gathers what the session tells into the run's record.
 
-use crate::record::{ClockEstimate, NodeRecord, PhaseRecord, RunRecord};
+use crate::record::{ClockEstimate, NodeRecord, PhaseRecord, PictureRecord, RunRecord};
 use crate::run::RunError;
-use protocol::id::Seat;
+use protocol::id::{FrameIndex, Seat};
 use protocol::message::FailureKind;
 use protocol::schedule::{Phase, SEATS};
 use protocol::settings::RunSettings;
@@ -22,6 +22,7 @@ struct Node {
 pub(crate) struct Tally {
     nodes: BTreeMap<Seat, Node>,
     phases: Vec<PhaseRecord>,
+    pictures: BTreeMap<FrameIndex, PictureRecord>,
 }
 
 impl Tally {
@@ -54,6 +55,10 @@ impl Tally {
         phase.reports.sort_by_key(|(seat, _)| *seat);
     }
 
+    pub(crate) fn picture(&mut self, frame: FrameIndex, picture: PictureRecord) {
+        self.pictures.insert(frame, picture);
+    }
+
     /// The phase's whole record.
     pub(crate) fn phase_ended(
         &mut self,
@@ -78,6 +83,7 @@ impl Tally {
         mut self,
         settings: RunSettings,
         processes: u32,
+        memory_cap: Option<u64>,
     ) -> Result<RunRecord, RunError> {
         let nodes = SEATS.iter().map(|&seat| {
             let node = self.nodes.remove(&seat)?;
@@ -86,6 +92,7 @@ impl Tally {
         let nodes = nodes.collect::<Option<Vec<_>>>().ok_or_else(|| {
             RunError::new(FailureKind::Internal, "the run ended before every node was known")
         })?;
-        Ok(RunRecord { settings, processes, nodes, phases: self.phases })
+        let Self { phases, pictures, .. } = self;
+        Ok(RunRecord { settings, processes, memory_cap, nodes, phases, pictures })
     }
 }

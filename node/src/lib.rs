@@ -127,6 +127,12 @@ fn runtime() -> Result<tokio::runtime::Runtime, NodeError> {
 
 impl From<PictureError> for NodeError {
     fn from(error: PictureError) -> Self {
+        Self::from(&error)
+    }
+}
+
+impl From<&PictureError> for NodeError {
+    fn from(error: &PictureError) -> Self {
         let kind = match error {
             PictureError::Write { .. } => FailureKind::Io,
             PictureError::Encode { .. } | PictureError::Gone => FailureKind::Internal,

@@ -4,6 +4,7 @@
 //! ping is answered while a long cull runs.
 
 use crate::net::{self, Inbox, LinkError, Outbox, PeerLink, Peers, Stream};
+use crate::pictures::Hashed;
 use crate::role::Coming;
 use crate::telemetry::{Clock, peak_rss};
 use crate::worker::{Done, Job, Worker};
@@ -186,6 +187,9 @@ impl Runner {
             Done::Rendered { frame, times, counts } => {
                 self.node.handle_rendered(now, frame, times, counts);
             }
+            Done::Hashed(Hashed { frame, hash, hashing }) => {
+                self.node.handle_hashed(now, frame, hash, hashing);
+            }
             Done::Failed(error) => self.node.handle_failure(now, error.kind, error.reason),
         }
     }
@@ -194,7 +198,8 @@ impl Runner {
         if self.prepared.joined
             && let Some(opened) = self.prepared.opened.take()
         {
-            self.node.handle_prepared(self.clock.now(), opened.scene_digest, opened.backend);
+            let worker::Opened { scene_digest, hlods, backend } = opened;
+            self.node.handle_prepared(self.clock.now(), scene_digest, hlods, backend);
         }
     }
 

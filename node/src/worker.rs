@@ -1,14 +1,14 @@
 //! The render thread: opens the scene, then does one role's work after another.
 
+use crate::NodeError;
 use crate::open::{Scene, open};
-use crate::pictures::PictureWriter;
+use crate::pictures::{Hashed, PictureError, PictureThread};
 use crate::role::Coming;
 use crate::role::audit::{self, Measured};
 use crate::role::hardware_cull::Culled;
 use crate::role::{hardware_cull, occlusion_representation, render_visible_geometry};
 use crate::runner::Event;
 use crate::telemetry::Clock;
-use crate::{NodeError, role};
 use protocol::camera::Camera;
 use protocol::id::FrameIndex;
 use protocol::message::FailureKind;
@@ -40,6 +40,8 @@ pub(crate) enum Job {
 
 /// The scene and backend that were opened.
 pub(crate) struct Opened {
+    /// Hlods of the scene.
+    pub(crate) hlods: u32,
     /// Digest of the scene file.
     pub(crate) scene_digest: [u8; 32],
     /// The renderer.
@@ -56,7 +58,9 @@ pub(crate) enum Done {
     Culled { frame: FrameIndex, visible: Arc<VisibleSet>, times: WorkTimes, counts: CullCounts },
     /// RVG is done.
     Rendered { frame: FrameIndex, times: WorkTimes, counts: DrawCounts },
-    /// The thread has ended.
+    /// A picture is hashed, on the picture thread.
+    Hashed(Hashed),
+    /// The thread has ended, or the picture thread has.
     Failed(NodeError),
 }
 
@@ -79,7 +83,7 @@ impl Worker {
         let is_abandoned = Arc::clone(&abandoned);
         std::thread::spawn(move || {
             let say = |done| events.blocking_send(Event::Done(done)).map_err(|_| Stop::Unheard);
-            let work = || serve(clock, &inbox, &say, &is_abandoned, &shared);
+            let work = || serve(clock, &inbox, &say, &events, &is_abandoned, &shared);
             let result = match std::panic::catch_unwind(std::panic::AssertUnwindSafe(work)) {
                 Ok(Err(Stop::Failed(error))) => {
                     // Nobody listens once the session has ended.
@@ -143,14 +147,15 @@ fn serve(
     clock: Clock,
     jobs: &crossbeam_channel::Receiver<Job>,
     say: &dyn Fn(Done) -> Result<(), Stop>,
+    events: &mpsc::Sender<Event>,
     is_abandoned: &AtomicBool,
     peak_resident: &Arc<AtomicU64>,
 ) -> Result<(), Stop> {
     let Ok(Job::Open { settings }) = jobs.recv() else { return Ok(()) };
     let Scene { digest, mut stage } = open(&settings, peak_resident)?;
-    let folder = settings.pictures_dir.as_ref().map(PathBuf::from);
-    let mut pictures = folder.map(|at| PictureWriter::start(at, settings.size)).transpose()?;
-    say(Done::Opened(Opened { scene_digest: digest, backend: stage.backend_info() }))?;
+    let mut pictures = picture_thread(&settings, events.clone())?;
+    let (hlods, backend) = (stage.hlods(), stage.backend_info());
+    say(Done::Opened(Opened { scene_digest: digest, hlods, backend }))?;
     while let Some(job) = stage.next_job(jobs)? {
         if is_abandoned.load(Ordering::Relaxed) {
             return Ok(());
@@ -177,31 +182,44 @@ fn serve(
                 let audited = is_nth(frame, settings.audit_every);
                 let drawn = render_visible_geometry::run(&mut stage, &camera, &visible, audited)?;
                 let times = times(stage.take_io());
-                let measuring = clock.now();
-                let counted = audited || is_nth(frame, settings.items_every);
-                let Measured { audit, hlods_with_pixels, front, stand_in_error_px } =
-                    audit::measure(&mut stage, &camera, &drawn, audited, counted)?;
                 let mut counts = drawn.counts;
-                let rgba = drawn.into_rgba();
-                (counts.audit, counts.hlods_with_pixels) = (audit, hlods_with_pixels);
-                counts.front = front;
-                counts.missing.error_px = stand_in_error_px;
-                counts.picture_hash = Some(role::picture_hash(&rgba));
-                if let Some(pictures) = &mut pictures {
-                    pictures.write(frame, rgba)?;
+
+                let counted = audited || is_nth(frame, settings.items_every);
+                let begun = clock.now();
+                let measured = audit::measure(&mut stage, &camera, &drawn, audited, counted)?;
+                if let Some(Measured { audit, hlods_with_pixels, front, stand_in_error_px }) = measured
+                {
+                    (counts.audit, counts.hlods_with_pixels) = (audit, hlods_with_pixels);
+                    (counts.front, counts.missing.error_px) = (front, stand_in_error_px);
+                    counts.measuring_ns = (clock.now() - begun).max(1);
+                    // Loading for the audit's sake is not the role's.
+                    stage.take_io();
                 }
-                counts.measuring_ns = clock.now() - measuring;
-                // Loading for the audit's sake is not the role's.
-                stage.take_io();
+
+                let begun = clock.now();
+                pictures.hand_over(frame, drawn.into_rgba())?;
+                counts.hand_over_ns = clock.now() - begun;
                 say(Done::Rendered { frame, times, counts })?;
                 stage.note_visible(frame, &visible);
             }
         }
     }
-    if let Some(mut pictures) = pictures {
-        pictures.finish()?;
-    }
+    pictures.finish()?;
     Ok(())
+}
+
+/// The thread that hashes the run's pictures and writes them if that is asked for. What it says goes to `events`.
+fn picture_thread(
+    settings: &RunSettings,
+    events: mpsc::Sender<Event>,
+) -> Result<PictureThread, NodeError> {
+    let folder = settings.pictures_dir.as_ref().map(PathBuf::from);
+    let tell = move |news: Result<Hashed, &PictureError>| {
+        let done = news.map_or_else(|error| Done::Failed(error.into()), Done::Hashed);
+        // Nobody listens once the session has ended.
+        let _ = events.blocking_send(Event::Done(done));
+    };
+    Ok(PictureThread::start(folder, settings.size, tell)?)
 }
 
 /// `frame` is one of every `n`; 0 picks none.

@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::camera::Camera;
-use crate::id::{FrameIndex, Seat};
+use crate::id::{FrameIndex, HlodId, Seat};
 use crate::message::{FailureKind, PeerAddress, Token, WIRE_VERSION};
 use crate::schedule::{Phase, Role};
 use crate::settings::{BackendChoice, Cull, PictureSize, Residency, RunSettings, Schedule};
@@ -60,7 +60,6 @@ fn examples() -> Vec<Message> {
         cull: Some(CullCounts { queries: 9, ..CullCounts::default() }),
         draw: Some(DrawCounts {
             hlods_with_pixels: Some(1),
-            picture_hash: Some(2),
             front: Some(3),
             audit: Some(Audit { differing_pixels: 0, unknown_pixels: 1, front_faults: 2 }),
             ..DrawCounts::default()
@@ -87,13 +86,14 @@ fn examples() -> Vec<Message> {
         Message::Delta {
             frame: FrameIndex(4),
             base: Some(FrameIndex(3)),
-            chunk: DeltaChunk { count: 2, code: vec![1, 2, 3] },
+            chunk: DeltaChunk { through: HlodId(9), leaving: 1, entering: 1, code: vec![1, 2, 3] },
         },
         Message::EndOfFrame { frame: FrameIndex(4), visible: 5, checksum: 6 },
         Message::WantFull { frame: FrameIndex(4) },
         Message::PhaseDone(report),
         Message::Finish,
         Message::Bye,
+        Message::PictureHash { frame: FrameIndex(4), hash: 5, hashing: 6 },
     ]
 }
 
@@ -190,11 +190,12 @@ fn bodies_have_the_sizes_that_the_page_states() {
         ("Ping", 16),
         ("Pong", 24),
         ("Phase", 65),
-        ("Delta", 25 + 3),
+        ("Delta", 29 + 3),
         ("EndOfFrame", 20),
         ("WantFull", 8),
         ("Finish", 4),
         ("Bye", 4),
+        ("PictureHash", 24),
     ];
     let size = |message: &Message| frame_of(message).len() - HEADER_BYTES;
     let sizes: Vec<_> = examples().iter().map(|message| (message.name(), size(message))).collect();
@@ -231,7 +232,7 @@ fn bytes_after_a_message_and_lying_lengths_are_refused() {
     for claim in [1u64 << 10, 1 << 32, u64::MAX] {
         let failed = [&[2, 0, 0, 0, 0, 0, 0, 0][..], &claim.to_le_bytes()].concat();
         assert!(matches!(decode_all(&frame_around(&failed)), Err(CodecError::Body(_))));
-        let head = [8, 0, 0, 0, 0, 0, 0, 0, 0, 1, 0, 0, 0];
+        let head = [8, 0, 0, 0, 0, 0, 0, 0, 0, 9, 0, 0, 0, 0, 0, 1, 0];
         let delta = [&head[..], &claim.to_le_bytes()].concat();
         assert!(matches!(decode_all(&frame_around(&delta)), Err(CodecError::Body(_))));
     }
@@ -273,7 +274,7 @@ proptest! {
     }
 
     #[test]
-    fn any_body_of_a_known_kind_is_read_without_panic(kind in 0u8..16, rest: Vec<u8>) {
+    fn any_body_of_a_known_kind_is_read_without_panic(kind in 0u8..17, rest: Vec<u8>) {
         let body = [&[kind, 0, 0, 0][..], &rest].concat();
         if let Ok(messages) = decode_all(&frame_around(&body)) {
             prop_assert_eq!(messages.len(), 1);

@@ -53,7 +53,7 @@ pub enum FailureKind {
     Io,
     /// A peer broke the protocol (76).
     Protocol,
-    /// Wrong token, or another scene (77).
+    /// Wrong token, another scene, or another renderer than the other seats have (77).
     NotAllowed,
     /// A setting that this scene cannot be shown with (78).
     Config,
@@ -159,8 +159,18 @@ pub enum Message {
     PhaseDone(PhaseReport),
     /// Coordinator to node: no more phases.
     Finish,
-    /// Node to coordinator, answer to `Finish`; then it hangs up.
+    /// Node to coordinator, answer to `Finish` once all its pictures are hashed; then it hangs up.
     Bye,
+    /// Node to coordinator: the picture of a frame this seat has drawn, once hashed. Before or after the
+    /// phase's report, and before `Bye`.
+    PictureHash {
+        /// The frame.
+        frame: FrameIndex,
+        /// First 8 bytes of the BLAKE3 of the picture's RGBA bytes.
+        hash: u64,
+        /// How long hashing took, beside the render thread.
+        hashing: Nanos,
+    },
 }
 
 /// Most characters of a [`Message::Failed`] reason; what a peer says beyond that is not passed on.
@@ -191,6 +201,7 @@ impl Message {
             Self::PhaseDone(_) => "PhaseDone",
             Self::Finish => "Finish",
             Self::Bye => "Bye",
+            Self::PictureHash { .. } => "PictureHash",
         }
     }
 }

@@ -27,6 +27,17 @@ pub enum Role {
     RenderVisibleGeometry,
 }
 
+impl Role {
+    /// Its short name, as Manocha has it.
+    pub fn short(self) -> &'static str {
+        match self {
+            Self::OcclusionRepresentation => "OR",
+            Self::HardwareCull => "HC",
+            Self::RenderVisibleGeometry => "RVG",
+        }
+    }
+}
+
 /// A beat of the pipeline; -1 is the first.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(transparent)]
@@ -83,6 +94,15 @@ pub fn seat_of(schedule: Schedule, wanted: Role, frame: FrameIndex) -> Seat {
         (Schedule::Switch, Role::RenderVisibleGeometry) => SEATS[2],
         (Schedule::Switch, _) => SEATS[(frame % 2) as usize],
         (Schedule::Rotate, _) => SEATS[(frame % 3) as usize],
+    }
+}
+
+/// The phase in which the picture of `frame` is drawn.
+pub fn drawn_in(schedule: Schedule, frame: FrameIndex) -> Phase {
+    let culled_in = Phase(frame.0 as i32);
+    match schedule {
+        Schedule::Switch => culled_in,
+        Schedule::Rotate => culled_in.next(),
     }
 }
 

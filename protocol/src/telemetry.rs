@@ -29,7 +29,7 @@ pub struct Audit {
 }
 
 /// Counts of HC(i).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct CullCounts {
     /// Hlods on the front F_i and in the frustum.
     pub in_frustum: u32,
@@ -47,10 +47,16 @@ pub struct CullCounts {
     pub visible: u32,
     /// Triangles of the *source* under the hlods in the frustum.
     pub source_triangles_in_frustum: u64,
-    /// Ids that changed between the base and V_i.
-    pub changed: u32,
-    /// Bytes of the coded change, for one receiver, framing not counted.
-    pub ids_delta: u32,
+    /// Ids of the base that are not in V_i.
+    pub leaving: u32,
+    /// Ids of V_i that are not in the base.
+    pub entering: u32,
+    /// Bits of the coded change, for one receiver.
+    pub ids_delta_bits: u32,
+    /// Least bits of it ([`crate::visible::ChangeTotals::bound_bits`]).
+    pub ids_bound_bits: f64,
+    /// Bytes of its chunks, counts and whole last bytes included, for one receiver; framing is not.
+    pub ids_sent: u32,
     /// Bytes of V_i as plain 4-byte ids.
     pub ids_full: u32,
 }
@@ -68,12 +74,14 @@ pub struct DrawCounts {
     pub hlods_with_pixels: Option<u32>,
     /// Hlods on the front, in the frustum or not, on the same frames.
     pub front: Option<u32>,
-    /// First 8 bytes of the BLAKE3 of the picture's RGBA bytes (RVG alone).
-    pub picture_hash: Option<u64>,
     /// On audited frames (RVG alone).
     pub audit: Option<Audit>,
-    /// Time spent on audit, item buffer, stand-ins' error and the picture file, inside the phase but not in `work`.
+    /// Time spent on audit, item buffer and stand-ins' error, after the work and before the report; 0
+    /// exactly where none of them was taken.
     pub measuring_ns: Nanos,
+    /// Time in which the render thread hands the picture over to be hashed and written, after the work
+    /// and before the report (RVG alone).
+    pub hand_over_ns: Nanos,
     /// What was not there.
     pub missing: Missing,
 }
@@ -161,7 +169,7 @@ pub struct WorkReport {
     pub started: Nanos,
     /// When it ended, measuring not counted.
     pub finished: Nanos,
-    /// HC: when the end-of-frame message was handed to the socket.
+    /// HC: when the end-of-frame message was queued, behind the chunks that the socket has not taken yet.
     pub visible_sent: Option<Nanos>,
     /// OR and RVG in `switch`, OR in `rotate`: when the end-of-frame message was handled.
     pub visible_received: Option<Nanos>,

@@ -4,7 +4,8 @@
 //! as positions within the base, the ids that enter as positions among all other ids.
 
 pub mod change;
-mod rice;
+mod interval;
+mod subset;
 
 pub use change::{ChangeError, ChangeReader, ChangeTotals, ChangeWriter, DeltaChunk};
 
@@ -65,13 +66,13 @@ impl VisibleSet {
     }
 }
 
-/// Least bits that tell which `changed` of `n_total` ids changed, all choices being equally likely:
-/// log2 C(n_total, changed); relative error below 1e-9. More changes than ids: 0, as for none.
-pub fn entropy_bound_bits(n_total: u64, changed: u64) -> f64 {
-    let Some(kept) = n_total.checked_sub(changed) else { return 0.0 };
-    let fewer = kept.min(changed);
-    // C(N, k) = product over i < k of (N - i) / (i + 1).
-    (0..fewer).fold(0.0, |bits, i| bits + ((n_total - i) as f64 / (i + 1) as f64).log2())
+/// Least bits that tell which `chosen` of `among` ids, all choices being equally likely and both numbers
+/// known: log2 C(among, chosen); relative error below 1e-9. More than there are: 0, as for none.
+pub fn entropy_bound_bits(among: u64, chosen: u64) -> f64 {
+    let Some(kept) = among.checked_sub(chosen) else { return 0.0 };
+    let fewer = kept.min(chosen);
+    // C(n, k) = product over i < k of (n - i) / (i + 1).
+    (0..fewer).fold(0.0, |bits, i| bits + ((among - i) as f64 / (i + 1) as f64).log2())
 }
 
 #[cfg(test)]

@@ -2,9 +2,8 @@
 
 use crate::record::{PhaseRecord, RunRecord};
 use protocol::id::{FrameIndex, Seat};
-use protocol::schedule::{self, Role};
+use protocol::schedule::{self, Phase, Role};
 use protocol::telemetry::{CullCounts, DrawCounts, Missing, Nanos, PhaseReport, WorkReport};
-use protocol::visible::entropy_bound_bits;
 use serde::Serialize;
 
 /// Bytes a TCP, IP and Ethernet header takes, and ids a packet holds, in paper 004, section 6.1.
@@ -15,16 +14,32 @@ const PAPER_CAMERA: f64 = 72.0;
 
 /// Everything that varies by frame. Times in milliseconds on the coordinator's clock, sizes in bytes;
 /// empty where a frame was not measured that way.
+///
+/// A frame's phases are the one that draws it and, for frame 0, all before that: the lead-in, in which no
+/// picture is drawn yet. So every phase is one frame's, and the frames' times add up to the run's.
 #[derive(Debug, Clone, PartialEq, Default, Serialize)]
 pub struct FrameRow {
     /// The frame.
     pub frame: u32,
-    /// Length of the phase that drew it, measuring not counted.
+    /// From the start of its (first) phase to the start of the phase after it; the last, to its end.
     pub frame_ms: f64,
-    /// Audit, item buffer or picture file took time in its phase.
+    /// Of that, the lead-in: 0 but for frame 0.
+    pub lead_in_ms: f64,
+    /// Of `frame_ms`, from the start of a phase to the end of the last role's work in it. What is missing is
+    /// measuring, handing over, reports and the next broadcast. An end that clocks put behind the phase's (they
+    /// are aligned within `clocks.error_ms`) counts as that.
+    pub work_ms: f64,
+    /// Of `frame_ms`, spent on audit, item buffer and stand-ins' error.
+    pub measuring_ms: f64,
+    /// Spent on the picture's hash, beside the phases.
+    pub hashing_ms: f64,
+    /// Of `frame_ms`, spent by the render thread on handing the picture to the thread that hashes and writes it.
+    pub hand_over_ms: f64,
+    /// An audit, an item buffer or a stand-in's error was taken.
     pub measured: bool,
-    /// From the broadcast of its camera to the end of its picture.
-    pub camera_to_picture_ms: f64,
+    /// From the broadcast of its camera to the end of its picture; empty where another frame was measured
+    /// in a phase between, for the picture waited for that.
+    pub camera_to_picture_ms: Option<f64>,
     /// Work of HC.
     pub hc_ms: f64,
     /// Work of OR.
@@ -41,16 +56,23 @@ pub struct FrameRow {
     pub hc_to_rvg_bytes: u64,
     /// Bytes between coordinator and all nodes, both ways.
     pub control_bytes: u64,
-    /// Bytes of the coded change of ids.
-    pub ids_delta: u32,
+    /// Code of the change of ids for one receiver, in bits, by eight: what fills the last byte is not counted.
+    pub ids_delta: f64,
+    /// The same as it is sent: in whole bytes, with counts and ends of its chunks.
+    pub ids_sent: u32,
     /// Bytes of the visible set as plain ids.
     pub ids_full: u32,
     /// 8n + nh/b + 3(72 + h), n the changed ids (paper 004, section 4.5).
     pub paper_formula: f64,
-    /// log2 C(N, n) in bytes.
+    /// Least bits of the code, by eight: log2 C(|base|, leaving) + log2 C(hlods - |base|, entering), for a change
+    /// of more than 512 ids the sum of that over its chunks' stretches of ids.
     pub entropy_bound: f64,
     /// Ids that changed.
     pub changed: u32,
+    /// Ids of the base that left.
+    pub leaving: u32,
+    /// Ids that entered.
+    pub entering: u32,
     /// Hlods on the front, in the frustum or not; counted where the item buffer is drawn.
     pub front: Option<u32>,
     /// Hlods on the front and in the frustum.
@@ -142,6 +164,29 @@ impl<'a> Lookup<'a> {
         time as i64 + offset
     }
 
+    /// The phases that are the frame's, in order; the last draws it.
+    fn phases_of(&self, frame: u32) -> &'a [PhaseRecord] {
+        let drawn_in = schedule::drawn_in(self.0.settings.schedule, FrameIndex(frame));
+        let first = if frame == 0 { Phase::FIRST } else { drawn_in };
+        let phases = &self.0.phases;
+        let from = phases.partition_point(|p| p.phase < first);
+        &phases[from..phases.partition_point(|p| p.phase <= drawn_in)]
+    }
+
+    /// Measuring in `phase`.
+    fn measuring(phase: &PhaseRecord) -> Nanos {
+        let draws = phase.reports.iter().filter_map(|(_, report)| report.work?.draw);
+        draws.map(|draw| draw.measuring_ns).sum()
+    }
+
+    /// From the start of `phase` to the end of the last work in it.
+    fn work_in(&self, phase: &PhaseRecord) -> i64 {
+        let ends = phase.reports.iter().filter_map(|(seat, report)| {
+            Some(self.aligned(*seat, report.work?.finished).min(phase.ended as i64))
+        });
+        ends.max().map_or(0, |end| (end - phase.started as i64).max(0))
+    }
+
     /// The phase before `phase`.
     fn before(&self, phase: &PhaseRecord) -> Option<&'a PhaseRecord> {
         self.0.phases.iter().find(|p| p.phase.next() == phase.phase)
@@ -166,12 +211,12 @@ fn control(phase: Option<&PhaseRecord>) -> u64 {
     })
 }
 
-/// The rows of a run, in frame order. `hlods` is N of the entropy bound.
-pub fn rows(record: &RunRecord, hlods: u64) -> Vec<FrameRow> {
-    (0..record.settings.frames).filter_map(|frame| row(&Lookup(record), frame, hlods)).collect()
+/// The rows of a run, in frame order.
+pub fn rows(record: &RunRecord) -> Vec<FrameRow> {
+    (0..record.settings.frames).filter_map(|frame| row(&Lookup(record), frame)).collect()
 }
 
-fn row(lookup: &Lookup<'_>, frame: u32, hlods: u64) -> Option<FrameRow> {
+fn row(lookup: &Lookup<'_>, frame: u32) -> Option<FrameRow> {
     let (hc_seat, hc_phase, hc) = lookup.work(Role::HardwareCull, frame)?;
     let (rvg_seat, rvg_phase, rvg) = lookup.work(Role::RenderVisibleGeometry, frame)?;
     let (_, or_phase, or) = lookup.work(Role::OcclusionRepresentation, frame)?;
@@ -180,7 +225,10 @@ fn row(lookup: &Lookup<'_>, frame: u32, hlods: u64) -> Option<FrameRow> {
 
     let mut row = FrameRow { frame, ..FrameRow::default() };
     fill_times(&mut row, lookup, (or_phase, or), (hc_seat, hc), (rvg_seat, rvg_phase, rvg));
-    fill_counts(&mut row, &cull, &draw, or.draw.as_ref(), hlods);
+    fill_counts(&mut row, &cull, &draw, or.draw.as_ref());
+    let picture = lookup.0.pictures.get(&FrameIndex(frame));
+    row.picture_hash = picture.map_or(String::new(), |picture| format!("{:016x}", picture.hash));
+    row.hashing_ms = picture.map_or(0.0, |picture| ms(picture.hashing as i64));
     let before = lookup.before(hc_phase);
     let bytes =
         |to: Seat| sent(Some(hc_phase), hc_seat, to).saturating_sub(sent(before, hc_seat, to));
@@ -192,7 +240,8 @@ fn row(lookup: &Lookup<'_>, frame: u32, hlods: u64) -> Option<FrameRow> {
         }
     }
     row.control_bytes = control(Some(hc_phase)).saturating_sub(control(before));
-    for io in rvg_phase.reports.iter().map(|(_, report)| report.io) {
+    let reports = lookup.phases_of(frame).iter().flat_map(|phase| &phase.reports);
+    for io in reports.map(|(_, report)| report.io) {
         row.io_hits += io.hits;
         row.io_misses += io.misses;
         row.io_waits += io.waits;
@@ -218,17 +267,23 @@ fn fill_times(
 ) {
     let span = |work: &WorkReport| ms(work.finished as i64 - work.started as i64);
     (row.hc_ms, row.or_ms, row.rvg_ms) = (span(hc), span(or), span(rvg));
-    // The camera of frame i goes out with phase i - 1, in which OR(i) works.
-    row.camera_to_picture_ms = ms(lookup.aligned(rvg_seat, rvg.finished) - or_phase.started as i64);
+    // The camera of frame i goes out with phase i - 1, in which OR(i) works. What is measured after a picture
+    // keeps the phase open, and all that follows waits.
+    let between =
+        lookup.0.phases.iter().filter(|p| (or_phase.phase..rvg_phase.phase).contains(&p.phase));
+    let delayed = between.map(Lookup::measuring).sum::<Nanos>() > 0;
+    let shown = lookup.aligned(rvg_seat, rvg.finished);
+    row.camera_to_picture_ms = (!delayed).then(|| ms(shown - or_phase.started as i64));
 
-    let draws = rvg_phase.reports.iter().filter_map(|(_, report)| report.work?.draw);
-    row.measured = draws.map(|draw| draw.measuring_ns).sum::<Nanos>() > 0;
-    let last_work = rvg_phase
-        .reports
-        .iter()
-        .filter_map(|(seat, report)| report.work.map(|work| lookup.aligned(*seat, work.finished)));
-    let ended = if row.measured { last_work.max().unwrap_or(0) } else { rvg_phase.ended as i64 };
-    row.frame_ms = ms(ended - rvg_phase.started as i64);
+    let phases = lookup.phases_of(row.frame);
+    let started = phases.first().map_or(rvg_phase.started, |first| first.started);
+    row.frame_ms = ms(rvg_phase.ended as i64 - started as i64);
+    row.lead_in_ms = ms(rvg_phase.started as i64 - started as i64);
+    row.work_ms = ms(phases.iter().map(|phase| lookup.work_in(phase)).sum());
+    let draw = rvg.draw.unwrap_or_default();
+    row.measured = draw.measuring_ns > 0;
+    row.measuring_ms = ms(draw.measuring_ns as i64);
+    row.hand_over_ms = ms(draw.hand_over_ns as i64);
 
     let Some(sent) = hc.visible_sent.map(|at| lookup.aligned(hc_seat, at)) else { return };
     let arrival = |seat: Seat, work: &WorkReport| {
@@ -242,21 +297,17 @@ fn fill_times(
     }
 }
 
-fn fill_counts(
-    row: &mut FrameRow,
-    cull: &CullCounts,
-    draw: &DrawCounts,
-    or: Option<&DrawCounts>,
-    hlods: u64,
-) {
-    let changed = f64::from(cull.changed);
-    row.ids_delta = cull.ids_delta;
+fn fill_counts(row: &mut FrameRow, cull: &CullCounts, draw: &DrawCounts, or: Option<&DrawCounts>) {
+    (row.leaving, row.entering) = (cull.leaving, cull.entering);
+    row.changed = cull.leaving + cull.entering;
+    let changed = f64::from(row.changed);
+    row.ids_delta = f64::from(cull.ids_delta_bits) / 8.0;
+    row.ids_sent = cull.ids_sent;
     row.ids_full = cull.ids_full;
-    row.changed = cull.changed;
     row.paper_formula = 8.0 * changed
         + changed * PAPER_HEADER / PAPER_IDS_A_PACKET
         + 3.0 * (PAPER_CAMERA + PAPER_HEADER);
-    row.entropy_bound = entropy_bound_bits(hlods, u64::from(cull.changed)) / 8.0;
+    row.entropy_bound = cull.ids_bound_bits / 8.0;
     row.front = draw.front;
     row.in_frustum = cull.in_frustum;
     row.queries = cull.queries;
@@ -272,7 +323,6 @@ fn fill_counts(
     row.differing_pixels = draw.audit.map(|audit| audit.differing_pixels);
     row.unknown_pixels = draw.audit.map(|audit| audit.unknown_pixels);
     row.front_faults = draw.audit.map(|audit| audit.front_faults);
-    row.picture_hash = draw.picture_hash.map_or(String::new(), |hash| format!("{hash:016x}"));
 }
 
 /// The rows as CSV with a header, named as in [`FrameRow`].

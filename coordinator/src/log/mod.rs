@@ -44,7 +44,7 @@ pub struct LogError {
 
 /// The figures of a run, nothing written.
 pub fn figures(record: &RunRecord, scene: &SceneFacts) -> summary::Summary {
-    summary::summarise(record, scene, &frames::rows(record, scene.hlods))
+    summary::summarise(record, scene, &frames::rows(record))
 }
 
 /// Writes `summary.json`, `frames.csv`, `trace.json` and `report.html` into `dir`, each to a temporary
@@ -54,7 +54,7 @@ pub fn write_all(
     scene: &SceneFacts,
     dir: &Path,
 ) -> Result<summary::Summary, LogError> {
-    let rows = frames::rows(record, scene.hlods);
+    let rows = frames::rows(record);
     let summary = summary::summarise(record, scene, &rows);
     let json = serde_json::to_string_pretty(&summary).expect("the summary holds only plain values");
     publish(&dir.join("summary.json"), json.as_bytes())?;

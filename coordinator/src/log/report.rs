@@ -29,7 +29,17 @@ pub fn html(summary: &Summary, rows: &[FrameRow], frames_dir: &Path) -> String {
         values: rows.iter().map(figure).collect(),
     };
     let plots = [
-        plot("Frame time", "ms", &[curve("frame", |r| r.frame_ms)]),
+        plot(
+            "Frame time",
+            "ms",
+            &[
+                curve("frame", |r| r.frame_ms),
+                curve("of it, work", |r| r.work_ms),
+                curve("of it, measuring", |r| r.measuring_ms),
+                curve("of it, handing over", |r| r.hand_over_ms),
+                curve("hashing, beside it", |r| r.hashing_ms),
+            ],
+        ),
         plot(
             "Work by role",
             "ms",
@@ -39,7 +49,7 @@ pub fn html(summary: &Summary, rows: &[FrameRow], frames_dir: &Path) -> String {
             "Camera to picture, and the visible set's way",
             "ms",
             &[
-                curve("camera to picture", |r| r.camera_to_picture_ms),
+                gapped("camera to picture", |r| r.camera_to_picture_ms),
                 gapped("HC to RVG", |r| r.hc_to_rvg_ms),
                 gapped("HC to OR", |r| r.hc_to_or_ms),
             ],
@@ -54,14 +64,15 @@ pub fn html(summary: &Summary, rows: &[FrameRow], frames_dir: &Path) -> String {
             ],
         ),
         plot(
-            "Ids",
+            "Change of the visible set",
             "bytes a frame",
             &[
-                curve("coded change", |r| f64::from(r.ids_delta)),
-                curve("entropy bound", |r| r.entropy_bound),
-                curve("full set", |r| f64::from(r.ids_full)),
+                curve("code", |r| r.ids_delta),
+                curve("its entropy bound", |r| r.entropy_bound),
+                curve("as sent, with counts", |r| f64::from(r.ids_sent)),
             ],
         ),
+        plot("The whole visible set", "bytes a frame", &[curve("ids", |r| f64::from(r.ids_full))]),
         plot(
             "Hlods",
             "count",

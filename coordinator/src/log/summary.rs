@@ -34,8 +34,11 @@ pub struct Backend {
 /// Milliseconds by role and way.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Latency {
-    /// From the broadcast of a camera to its picture.
+    /// From the broadcast of a camera to its picture, of the frames that waited for no other frame's
+    /// measuring.
     pub camera_to_picture: Stats,
+    /// How many those are: with `--audit every=1` hardly any.
+    pub camera_to_picture_frames: usize,
     /// HC's work.
     pub hc: Stats,
     /// OR's work.
@@ -57,13 +60,15 @@ pub struct Bandwidth {
     pub hc_to_rvg: Stats,
     /// On the sockets, both ways, all nodes.
     pub control: Stats,
-    /// Coded change of ids, mean.
+    /// Code of the change of ids, bits by eight, mean.
     pub ids_delta: f64,
+    /// The same in whole bytes, with counts and ends of its chunks, mean.
+    pub ids_sent: f64,
     /// Plain 4-byte ids, mean.
     pub ids_full: f64,
     /// Paper 004, section 4.5, mean.
     pub paper_formula: f64,
-    /// log2 C(N, k) over the changed ids, mean.
+    /// Least of `ids_delta` that the code's model allows, mean.
     pub entropy_bound: f64,
 }
 
@@ -183,6 +188,26 @@ pub struct Clock {
     pub round_trip_ms: f64,
 }
 
+/// One of the longest frames.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct WorstFrame {
+    /// The frame.
+    pub frame: u32,
+    /// Its length.
+    pub frame_ms: f64,
+    /// Of that, the lead-in.
+    pub lead_in_ms: f64,
+    /// Of that, work.
+    pub work_ms: f64,
+    /// Of that, measuring.
+    pub measuring_ms: f64,
+    /// Longest wait for geometry in it.
+    pub io_stall_ms: f64,
+}
+
+/// Longest frames that are named.
+const WORST: usize = 5;
+
 /// All of it.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Summary {
@@ -204,8 +229,29 @@ pub struct Summary {
     pub near: Stats,
     /// Pictures.
     pub frames: usize,
-    /// Length of a phase; of the frames without measuring work, if there are any.
+    /// Seats drew with different renderers: what one finds hidden may show with another, so the
+    /// pictures are not exact.
+    pub mixed: bool,
+    /// From the start of the first phase to the end of the last: the sum of all frames' times.
+    pub span_ms: f64,
+    /// Of that, before the first phase that draws a picture; it is part of frame 0.
+    pub lead_in_ms: f64,
+    /// From the start of a phase to the start of the next, of all frames.
     pub frame_ms: Stats,
+    /// The same of the frames in which nothing was measured, however few.
+    pub frame_unmeasured_ms: Stats,
+    /// How many those are.
+    pub unmeasured_frames: usize,
+    /// From the start of a phase to the end of the last role's work in it, of all frames.
+    pub work_ms: Stats,
+    /// Audit, item buffer and stand-ins' error, of all frames.
+    pub measuring_ms: Stats,
+    /// Hashing, beside the phases.
+    pub hashing_ms: Stats,
+    /// Handing the picture over to be hashed and written.
+    pub hand_over_ms: Stats,
+    /// The longest frames, longest first.
+    pub worst: Vec<WorstFrame>,
     /// Milliseconds by role and way.
     pub latency_ms: Latency,
     /// Bytes a frame.
@@ -236,10 +282,8 @@ pub fn summarise(record: &RunRecord, scene: &SceneFacts, rows: &[FrameRow]) -> S
     let average = |figure: fn(&FrameRow) -> f64| mean(rows.iter().map(figure));
     // Pictures of the first frames also load their geometry; they count like any other.
     let unmeasured = || rows.iter().filter(|row| !row.measured);
-    let frame_ms = match unmeasured().count() {
-        0 => stats(|row| row.frame_ms),
-        _ => Stats::of(unmeasured().map(|row| row.frame_ms)),
-    };
+    let prompt = || rows.iter().filter_map(|row| row.camera_to_picture_ms);
+    let renderers = || record.nodes.iter().map(|node| &node.backend);
     Summary {
         scene: Scene {
             path: scene.path.clone(),
@@ -259,9 +303,20 @@ pub fn summarise(record: &RunRecord, scene: &SceneFacts, rows: &[FrameRow]) -> S
         lod_px: record.settings.lod_px,
         near: scene.near,
         frames: rows.len(),
-        frame_ms,
+        mixed: renderers().zip(renderers().skip(1)).any(|(a, b)| a != b),
+        span_ms: rows.iter().map(|row| row.frame_ms).sum(),
+        lead_in_ms: rows.iter().map(|row| row.lead_in_ms).sum(),
+        frame_ms: stats(|row| row.frame_ms),
+        frame_unmeasured_ms: Stats::of(unmeasured().map(|row| row.frame_ms)),
+        unmeasured_frames: unmeasured().count(),
+        work_ms: stats(|row| row.work_ms),
+        measuring_ms: stats(|row| row.measuring_ms),
+        hashing_ms: stats(|row| row.hashing_ms),
+        hand_over_ms: stats(|row| row.hand_over_ms),
+        worst: worst(rows),
         latency_ms: Latency {
-            camera_to_picture: stats(|row| row.camera_to_picture_ms),
+            camera_to_picture: Stats::of(prompt()),
+            camera_to_picture_frames: prompt().count(),
             hc: stats(|row| row.hc_ms),
             or: stats(|row| row.or_ms),
             rvg: stats(|row| row.rvg_ms),
@@ -272,7 +327,8 @@ pub fn summarise(record: &RunRecord, scene: &SceneFacts, rows: &[FrameRow]) -> S
             hc_to_or: stats(|row| row.hc_to_or_bytes as f64),
             hc_to_rvg: stats(|row| row.hc_to_rvg_bytes as f64),
             control: stats(|row| row.control_bytes as f64),
-            ids_delta: average(|row| f64::from(row.ids_delta)),
+            ids_delta: average(|row| row.ids_delta),
+            ids_sent: average(|row| f64::from(row.ids_sent)),
             ids_full: average(|row| f64::from(row.ids_full)),
             paper_formula: average(|row| row.paper_formula),
             entropy_bound: average(|row| row.entropy_bound),
@@ -306,6 +362,21 @@ pub fn summarise(record: &RunRecord, scene: &SceneFacts, rows: &[FrameRow]) -> S
         clocks: clocks(record),
         pids: pids(record),
     }
+}
+
+/// The longest frames; of equal ones the first.
+fn worst(rows: &[FrameRow]) -> Vec<WorstFrame> {
+    let mut longest: Vec<&FrameRow> = rows.iter().collect();
+    longest.sort_by(|a, b| b.frame_ms.total_cmp(&a.frame_ms));
+    let named = longest.into_iter().take(WORST).map(|row| WorstFrame {
+        frame: row.frame,
+        frame_ms: row.frame_ms,
+        lead_in_ms: row.lead_in_ms,
+        work_ms: row.work_ms,
+        measuring_ms: row.measuring_ms,
+        io_stall_ms: row.io_stall_ms,
+    });
+    named.collect()
 }
 
 fn culling(rows: &[FrameRow]) -> Culling {
@@ -358,14 +429,15 @@ fn memory(record: &RunRecord) -> Memory {
         by_seat
     };
     let (resident, rss) = (peak(|report| report.peak_resident), peak(|report| report.peak_rss));
+    let cap = record.memory_cap;
     match record.processes {
         // The three seats of one process share its resident set but hold geometry each.
         1 => Memory {
-            cap: record.settings.memory.map(|memory| memory * record.nodes.len() as u64),
+            cap,
             peak_resident: vec![resident.iter().sum()],
             peak_rss: rss.into_iter().max().into_iter().collect(),
         },
-        _ => Memory { cap: record.settings.memory, peak_resident: resident, peak_rss: rss },
+        _ => Memory { cap, peak_resident: resident, peak_rss: rss },
     }
 }
 
@@ -380,9 +452,9 @@ fn clocks(record: &RunRecord) -> Vec<Clock> {
 }
 
 fn pids(record: &RunRecord) -> Vec<u32> {
-    let mut pids: Vec<u32> = record.nodes.iter().map(|node| node.pid).collect();
-    pids.dedup();
-    pids
+    // Nodes of one process name it thrice. Where each has its own, equal numbers are of different machines.
+    let processes = if record.processes == 1 { 1 } else { record.nodes.len() };
+    record.nodes.iter().take(processes).map(|node| node.pid).collect()
 }
 
 /// Distinct words in the order they first come, joined by `, `.

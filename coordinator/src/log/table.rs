@@ -32,6 +32,10 @@ pub fn table(summary: &Summary) -> String {
         format!("{run}, schedule {:?}, cull {:?}, lod {} px", s.schedule, s.cull, s.lod_px)
             .to_lowercase(),
     );
+    if s.mixed {
+        let why = "seats drew with different renderers (--mixed): visible pixels may be lacking";
+        line("not exact", why.to_owned());
+    }
     line("", format!("{:>10}{:>10}{:>10}{:>10}{:>10}", "p50", "p90", "p99", "max", "mean"));
     let mut stats = |name: &str, v: &Stats, digits: usize| {
         let cells: String = [v.p50, v.p90, v.p99, v.max, v.mean]
@@ -41,7 +45,15 @@ pub fn table(summary: &Summary) -> String {
         line(name, cells);
     };
     stats("frame ms", &s.frame_ms, 2);
-    stats("camera to picture ms", &s.latency_ms.camera_to_picture, 2);
+    stats("of it, work", &s.work_ms, 2);
+    stats("of it, measuring", &s.measuring_ms, 2);
+    stats("of it, handing over", &s.hand_over_ms, 2);
+    stats("frames not measured", &s.frame_unmeasured_ms, 2);
+    stats("hashing, beside it", &s.hashing_ms, 2);
+    // Where every frame waits for another's measuring there is nothing to state.
+    if s.latency_ms.camera_to_picture_frames > 0 {
+        stats("camera to picture ms", &s.latency_ms.camera_to_picture, 2);
+    }
     stats("OR ms", &s.latency_ms.or, 2);
     stats("HC ms", &s.latency_ms.hc, 2);
     stats("RVG ms", &s.latency_ms.rvg, 2);
@@ -55,6 +67,7 @@ pub fn table(summary: &Summary) -> String {
         stats("of these, of cubes", &s.triangles.far, 0);
     }
     stats("source in frustum", &s.triangles.source_in_frustum, 0);
+    line("worst frames ms", worst(s));
     let c = &s.culling;
     let efficiency = c.efficiency.map_or("not measured".to_owned(), |e| format!("{e:.2}"));
     let front = c.front.map_or(String::new(), |front| format!("front {front:.0}, "));
@@ -69,8 +82,8 @@ pub fn table(summary: &Summary) -> String {
     line(
         "ids, bytes a frame",
         format!(
-            "change {:.0} (bound {:.0}), full {:.0}, paper's formula {:.0}",
-            b.ids_delta, b.entropy_bound, b.ids_full, b.paper_formula
+            "change {:.1} (bound {:.1}), as sent {:.1}, full {:.0}, paper's formula {:.0}",
+            b.ids_delta, b.entropy_bound, b.ids_sent, b.ids_full, b.paper_formula
         ),
     );
     line("audit", audit(&s.audit));
@@ -132,4 +145,24 @@ fn audit(found: &Audit) -> String {
         let _ = write!(text, "; {} hlods are wrong on the front", found.front_faults);
     }
     text
+}
+
+/// The longest frames, and what in them was not work on the picture.
+fn worst(summary: &Summary) -> String {
+    let named = summary.worst.iter().map(|worst| {
+        let parts = [
+            ("lead-in", worst.lead_in_ms),
+            ("measuring", worst.measuring_ms),
+            ("waiting for geometry", worst.io_stall_ms),
+        ];
+        let parts: Vec<String> = parts
+            .iter()
+            .filter(|(_, ms)| *ms >= 0.05)
+            .map(|(name, ms)| format!("{name} {ms:.1}"))
+            .collect();
+        let of_it =
+            if parts.is_empty() { String::new() } else { format!(" ({})", parts.join(", ")) };
+        format!("#{} {:.1}{of_it}", worst.frame, worst.frame_ms)
+    });
+    named.collect::<Vec<_>>().join(", ")
 }

@@ -1,7 +1,6 @@
 //! `trace.json`: all roles on one clock, in Chrome's trace event format (opens in Perfetto).
 
 use crate::record::{NodeRecord, RunRecord};
-use protocol::schedule::Role;
 use protocol::telemetry::WorkReport;
 use serde_json::{Value, json};
 
@@ -37,17 +36,8 @@ fn lane(node: &NodeRecord) -> u32 {
     u32::from(node.seat.0) + 1
 }
 
-/// Short name of a role, as the paper has it.
-pub(crate) fn short(role: Role) -> &'static str {
-    match role {
-        Role::OcclusionRepresentation => "OR",
-        Role::HardwareCull => "HC",
-        Role::RenderVisibleGeometry => "RVG",
-    }
-}
-
 fn work_event(lane: u32, work: &WorkReport, at: impl Fn(u64) -> f64) -> Value {
-    let name = format!("{}({})", short(work.role), work.frame);
+    let name = format!("{}({})", work.role.short(), work.frame);
     let detail = match (&work.cull, &work.draw) {
         (Some(cull), _) => {
             json!({ "in_frustum": cull.in_frustum, "queries": cull.queries, "visible": cull.visible })

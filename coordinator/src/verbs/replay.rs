@@ -16,12 +16,15 @@ use coordinator::log::table::table;
 use coordinator::log::{SceneFacts, write_all};
 use coordinator::run::{self as rig_run, RunError, RunPlan};
 use protocol::camera::{Camera, near_plane};
+use protocol::session::PHASE_LIMIT;
+use protocol::session::coordinator::Policy;
 use protocol::settings::{
     AuditAgainst, BackendChoice, Cull, FAR_CUBES, Far, PictureSize, Residency, RunSettings,
     Schedule,
 };
 use scene::store::Store;
 use std::net::SocketAddr;
+use std::num::NonZeroU32;
 use std::path::{Path, PathBuf};
 
 /// Frames of the walk that is made where no path is given.
@@ -106,6 +109,12 @@ pub(crate) struct RunOptions {
     /// Most triangles of cubes in the frustum that are drawn
     #[arg(long, value_name = "N", env = "OCCLUSTER_FAR_TRIANGLES")]
     pub(super) far_triangles: Option<u64>,
+    /// Let seats draw with different renderers; the pictures may then lack visible pixels
+    #[arg(long, env = "OCCLUSTER_MIXED", value_parser = clap::builder::FalseyValueParser::new())]
+    pub(super) mixed: bool,
+    /// Time without any report after which a phase has failed [default: 60]
+    #[arg(long, value_name = "SECONDS", env = "OCCLUSTER_PHASE_LIMIT")]
+    pub(super) phase_limit: Option<NonZeroU32>,
     /// Show only the first N poses
     #[arg(long, value_name = "N", env = "OCCLUSTER_FRAMES", value_parser = clap::value_parser!(u32).range(1..))]
     pub(super) frames: Option<u32>,
@@ -167,7 +176,9 @@ pub(super) fn replay(args: Args) -> Result<(Summary, Option<PathBuf>), Failure> 
     let settings = settings(&args, &rig, &store, cameras.len())?;
     let frames = settings.frames;
     let facts = facts(&args.scene, &store, &cameras);
-    let plan = RunPlan { settings, cameras, rig: rig_of(&args, &rig)? };
+    let memory_cap = args.options.memory.or(rig.memory).map(|Bytes(memory)| memory);
+    let (policy, rig) = (policy(&args, &rig), rig_of(&args, &rig)?);
+    let plan = RunPlan { settings, cameras, rig, policy, memory_cap };
     let _during = During::new(Work::Running);
     let mut live = LiveLine::new(frames);
     let record = rig_run::run(plan, &mut |phase| live.show(phase));
@@ -183,6 +194,15 @@ pub(super) fn replay(args: Args) -> Result<(Summary, Option<PathBuf>), Failure> 
     match &args.out {
         Some(out) => Ok((write_all(&record, &facts, out).or_exit(IO)?, args.out)),
         None => Ok((coordinator::log::figures(&record, &facts), None)),
+    }
+}
+
+/// What this run puts up with.
+fn policy(args: &Args, rig: &Rig) -> Policy {
+    let seconds = args.options.phase_limit.or(rig.phase_limit);
+    Policy {
+        mixed: args.options.mixed || rig.mixed == Some(true),
+        phase_limit: seconds.map_or(PHASE_LIMIT, |s| u64::from(s.get()) * 1_000_000_000),
     }
 }
 

@@ -38,14 +38,18 @@ pub(crate) struct Measured {
     pub(crate) stand_in_error_px: f64,
 }
 
-/// Measures `drawn`, which must have its depth if it is to be `audited`.
+/// Measures `drawn`, which must have its depth if it is to be `audited`. None where nothing is asked for and
+/// nothing stands in: then nothing is done.
 pub(crate) fn measure(
     stage: &mut Stage<'_>,
     camera: &Camera,
     drawn: &Drawn,
     audited: bool,
     counted: bool,
-) -> Result<Measured, RoleError> {
+) -> Result<Option<Measured>, RoleError> {
+    if !audited && !counted && drawn.layers.iter().all(|layer| layer.replaced.is_empty()) {
+        return Ok(None);
+    }
     let audit = audited.then(|| against_unculled(stage, camera, drawn)).transpose()?;
     let (mut seen, mut stand_in_error_px) = (BTreeSet::new(), 0.0);
     for layer in &drawn.layers {
@@ -63,7 +67,7 @@ pub(crate) fn measure(
     }
     let hlods_with_pixels = counted.then_some(seen.len() as u32);
     let front = counted.then(|| stage.whole_cut(camera).len() as u32);
-    Ok(Measured { audit, hlods_with_pixels, front, stand_in_error_px })
+    Ok(Some(Measured { audit, hlods_with_pixels, front, stand_in_error_px }))
 }
 
 /// Draws what no culling would leave out on the same device, and compares each of the pictures that are

@@ -268,6 +268,11 @@ impl<'a> Stage<'a> {
         self.loader.take_in_until(self.backend.as_mut(), jobs)
     }
 
+    /// Hlods of the scene.
+    pub(crate) fn hlods(&self) -> u32 {
+        self.skeleton.hlods.len() as u32
+    }
+
     /// Loading since the last call.
     pub(crate) fn take_io(&mut self) -> IoCounts {
         self.loader.take_counts()

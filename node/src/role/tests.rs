@@ -81,7 +81,7 @@ fn play_on(mut stage: Stage<'_>, cameras: &[Camera]) -> Vec<Seen> {
         let culled = hardware_cull::run(&mut stage, camera).unwrap();
         visible = VisibleSet::from_sorted(culled.visible);
         let drawn = render_visible_geometry::run(&mut stage, camera, &visible, true).unwrap();
-        let measured = measure(&mut stage, camera, &drawn, true, true).unwrap();
+        let measured = measure(&mut stage, camera, &drawn, true, true).unwrap().unwrap();
         Seen {
             culled: culled.counts,
             drawn: drawn.counts.hlods,

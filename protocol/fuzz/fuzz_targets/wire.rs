@@ -31,7 +31,7 @@ fn read(stream: &[u8], cut: usize) {
             let mut again = Vec::new();
             encode(&message, &mut again);
             if let Message::Delta { chunk, .. } = message {
-                let mut reader = ChangeReader::new(Arc::default());
+                let mut reader = ChangeReader::new(Arc::default(), u32::MAX);
                 if reader.push(&chunk).is_ok() {
                     reader.finish();
                 }

@@ -2,21 +2,22 @@
 //!
 //! Seats the nodes in the order they greet, aligns their clocks, paces the phases and ends the run.
 //! This file holds what a driver calls and the run's order; `clock` the ping-pong; `links` who is at
-//! the other end of each link.
+//! the other end of each link; `blame` whom a run that cannot go on is held up by.
 
+mod blame;
 mod clock;
 mod links;
 
 use crate::camera::Camera;
-use crate::id::Seat;
+use crate::id::{FrameIndex, Seat};
 use crate::message::{FailureKind, MAX_ADDRESS_BYTES, Message, PeerAddress, Token, WIRE_VERSION};
 use crate::schedule::{self, Phase, SEATS};
-use crate::session::{HEARTBEAT, PEER_TIMEOUT};
+use crate::session::{HEARTBEAT, PEER_TIMEOUT, PHASE_LIMIT};
 use crate::settings::RunSettings;
 use crate::telemetry::{BackendInfo, Nanos, PhaseReport};
 use clock::Pings;
 use links::{Links, Member};
-use std::collections::VecDeque;
+use std::collections::{BTreeSet, VecDeque};
 
 /// Time in which a link must greet, nanoseconds.
 pub const HELLO_TIMEOUT: Nanos = 10_000_000_000;
@@ -24,6 +25,21 @@ pub const HELLO_TIMEOUT: Nanos = 10_000_000_000;
 /// A connection, named by the driver.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct LinkId(pub u32);
+
+/// What a run puts up with.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Policy {
+    /// Seats may draw with different renderers, which voids the proof that no visible pixel is lost.
+    pub mixed: bool,
+    /// Time without any report after which a phase has failed.
+    pub phase_limit: Nanos,
+}
+
+impl Default for Policy {
+    fn default() -> Self {
+        Self { mixed: false, phase_limit: PHASE_LIMIT }
+    }
+}
 
 /// What the coordinator's driver must do, or may log.
 #[derive(Debug, Clone, PartialEq)]
@@ -83,6 +99,15 @@ pub enum Output {
         /// What it says.
         report: PhaseReport,
     },
+    /// A picture is hashed.
+    Picture {
+        /// The frame.
+        frame: FrameIndex,
+        /// Its hash.
+        hash: u64,
+        /// How long hashing took, nanoseconds.
+        hashing: Nanos,
+    },
     /// All seats have reported.
     PhaseEnded {
         /// The phase.
@@ -125,7 +150,14 @@ pub struct Coordinator {
     token: Token,
     settings: RunSettings,
     cameras: Vec<Camera>,
+    policy: Policy,
     links: Links,
+    /// Pictures that are hashed.
+    hashed: BTreeSet<FrameIndex>,
+    /// When the phase, or the leave-taking, began.
+    began: Nanos,
+    /// When it last came any further.
+    progress: Nanos,
 }
 
 impl Coordinator {
@@ -133,11 +165,27 @@ impl Coordinator {
     ///
     /// # Panics
     /// Unless there is at least one camera, and one for each of the run's frames.
-    pub fn new(_now: Nanos, token: Token, settings: RunSettings, cameras: Vec<Camera>) -> Self {
+    pub fn new(
+        now: Nanos,
+        token: Token,
+        settings: RunSettings,
+        cameras: Vec<Camera>,
+        policy: Policy,
+    ) -> Self {
         assert!(!cameras.is_empty(), "a run has at least one frame");
         assert_eq!(cameras.len(), settings.frames as usize, "every frame has one camera");
-        let links = Links::default();
-        Self { stage: Stage::Joining, outputs: VecDeque::new(), token, settings, cameras, links }
+        Self {
+            stage: Stage::Joining,
+            outputs: VecDeque::new(),
+            token,
+            settings,
+            cameras,
+            policy,
+            links: Links::default(),
+            hashed: BTreeSet::new(),
+            began: now,
+            progress: now,
+        }
     }
 
     /// A link was accepted.
@@ -201,11 +249,24 @@ impl Coordinator {
                 }
             }
         }
+        if self.limit_ends().is_some_and(|at| now >= at) {
+            let reason = self.blame(now);
+            self.fail(FailureKind::Unavailable, reason, None);
+        }
     }
 
     /// When `handle_timeout` is to be called at the latest.
     pub fn poll_timeout(&self) -> Option<Nanos> {
-        if self.stage == Stage::Ended { None } else { self.links.next_alarm() }
+        match self.stage {
+            Stage::Ended => None,
+            _ => self.links.next_alarm().into_iter().chain(self.limit_ends()).min(),
+        }
+    }
+
+    /// When a run that comes no further has failed.
+    fn limit_ends(&self) -> Option<Nanos> {
+        let paced = matches!(self.stage, Stage::Running(_) | Stage::Finishing);
+        paced.then(|| self.progress.saturating_add(self.policy.phase_limit))
     }
 
     /// What to do next; call until there is none.
@@ -268,16 +329,21 @@ impl Coordinator {
                 }
             }
             Message::Ready { scene_digest, backend }
-                if stage == Stage::Preparing && !member.is_ready =>
+                if stage == Stage::Preparing && member.renderer.is_none() =>
             {
                 if scene_digest != self.settings.scene_digest {
                     let reason = format!("seat {seat} has opened another scene file");
                     self.fail(FailureKind::NotAllowed, reason, None);
                     return Ok(());
                 }
-                member.is_ready = true;
+                member.renderer = Some(backend.clone());
                 self.outputs.push_back(Output::Ready { seat, backend });
-                if self.links.all(|member| member.is_ready) {
+                if self.links.all(|member| member.renderer.is_some()) {
+                    if let Some(reason) = self.different_renderers().filter(|_| !self.policy.mixed)
+                    {
+                        self.fail(FailureKind::NotAllowed, reason, None);
+                        return Ok(());
+                    }
                     self.stage = Stage::Aligning;
                     self.links.for_each(|member| member.pings.start_over());
                     self.align(now);
@@ -288,6 +354,7 @@ impl Coordinator {
             {
                 self.check_report(seat, &report)?;
                 self.links.seat_mut(seat).is_done = true;
+                self.progress = now;
                 let phase = report.phase;
                 self.outputs.push_back(Output::Report { seat, report });
                 if self.links.all(|member| member.is_done) {
@@ -295,8 +362,22 @@ impl Coordinator {
                     self.begin_phase(now, phase.next());
                 }
             }
+            Message::PictureHash { frame, hash, hashing } => {
+                self.check_picture(seat, frame)?;
+                self.hashed.insert(frame);
+                if stage == Stage::Finishing {
+                    self.progress = now;
+                }
+                self.outputs.push_back(Output::Picture { frame, hash, hashing });
+            }
             Message::Bye if stage == Stage::Finishing && !member.is_gone => {
-                member.is_gone = true;
+                if let Some(frame) = self.unhashed(seat).next() {
+                    let offence =
+                        format!("took leave and has not hashed the picture of frame {frame}");
+                    return Err(Some(offence));
+                }
+                self.links.seat_mut(seat).is_gone = true;
+                self.progress = now;
                 if self.links.all(|member| member.is_gone) {
                     self.stage = Stage::Ended;
                     self.outputs.push_back(Output::Finished);
@@ -318,6 +399,29 @@ impl Coordinator {
             return Ok(());
         }
         Err(Some(format!("reported work that was not its own in phase {}", report.phase.0)))
+    }
+
+    /// A picture must be hashed once, by the seat that draws it, and not before its phase has begun.
+    fn check_picture(&self, seat: Seat, frame: FrameIndex) -> Result<(), Option<String>> {
+        let RunSettings { schedule, frames, .. } = self.settings;
+        let is_own = frame.0 < frames
+            && schedule::seat_of(schedule, schedule::Role::RenderVisibleGeometry, frame) == seat;
+        let is_due = match self.stage {
+            Stage::Running(phase) => is_own && schedule::drawn_in(schedule, frame) <= phase,
+            Stage::Finishing => is_own,
+            _ => false,
+        };
+        if is_due && !self.hashed.contains(&frame) { Ok(()) } else { Err(None) }
+    }
+
+    /// Pictures of `seat` that are not hashed.
+    fn unhashed(&self, seat: Seat) -> impl Iterator<Item = FrameIndex> {
+        let RunSettings { schedule, frames, .. } = self.settings;
+        let drawn_by =
+            move |frame| schedule::seat_of(schedule, schedule::Role::RenderVisibleGeometry, frame);
+        (0..frames)
+            .map(FrameIndex)
+            .filter(move |&frame| drawn_by(frame) == seat && !self.hashed.contains(&frame))
     }
 
     /// Sends each node its next ping; ends when all have answered often enough.
@@ -342,6 +446,7 @@ impl Coordinator {
     }
 
     fn begin_phase(&mut self, now: Nanos, phase: Phase) {
+        (self.began, self.progress) = (now, now);
         if phase > schedule::last_phase(self.settings.schedule, self.settings.frames) {
             self.stage = Stage::Finishing;
             return SEATS.into_iter().for_each(|seat| self.send(seat, Message::Finish));

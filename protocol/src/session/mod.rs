@@ -11,5 +11,8 @@ mod simulation;
 
 /// Silence after which a peer counts as gone, nanoseconds.
 pub const PEER_TIMEOUT: u64 = 30_000_000_000;
+/// Time without any report after which a phase has failed where nothing else is said, nanoseconds. A node
+/// whose render thread hangs still answers pings, so silence does not find it.
+pub const PHASE_LIMIT: u64 = 60_000_000_000;
 /// Silence after which a peer that something is expected of is pinged, nanoseconds.
 pub const HEARTBEAT: u64 = 1_000_000_000;

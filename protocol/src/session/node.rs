@@ -21,7 +21,7 @@ use crate::telemetry::{
 use crate::visible::{ChangeWriter, DeltaChunk, VisibleSet};
 use peers::{Due, Watch};
 use sets::{Held, Sets};
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::Arc;
 
 /// The other end of a link.
@@ -70,7 +70,7 @@ pub enum Output {
         /// Its camera.
         camera: Camera,
     },
-    /// Draw the picture of `frame`; answer with `handle_rendered`.
+    /// Draw the picture of `frame`; answer with `handle_rendered`, and with `handle_hashed` before or after.
     Render {
         /// The frame.
         frame: FrameIndex,
@@ -129,6 +129,8 @@ enum Stage {
     Joining,
     Preparing,
     Running,
+    /// No phase follows; some pictures are not hashed yet.
+    Leaving,
     Ended,
 }
 
@@ -169,6 +171,8 @@ pub struct Node {
     cameras: BTreeMap<FrameIndex, Camera>,
     sets: Sets,
     culling: Option<ChangeWriter>,
+    /// Pictures that are being drawn or hashed.
+    unhashed: BTreeSet<FrameIndex>,
     process: ProcessState,
     watch: Watch,
 }
@@ -183,8 +187,9 @@ impl Node {
             membership: None,
             beat: None,
             cameras: BTreeMap::new(),
-            sets: Sets::default(),
+            sets: Sets::of_scene(0),
             culling: None,
+            unhashed: BTreeSet::new(),
             process: ProcessState::default(),
             watch: Watch::new(now),
         }
@@ -229,8 +234,14 @@ impl Node {
         self.process = state;
     }
 
-    /// The scene is open, the backend up, and all peers have greeted each other.
-    pub fn handle_prepared(&mut self, _now: Nanos, scene_digest: [u8; 32], backend: BackendInfo) {
+    /// The scene of so many `hlods` is open, the backend up, and all peers have greeted each other.
+    pub fn handle_prepared(
+        &mut self,
+        _now: Nanos,
+        scene_digest: [u8; 32],
+        hlods: u32,
+        backend: BackendInfo,
+    ) {
         if self.stage == Stage::Ended {
             return;
         }
@@ -242,6 +253,7 @@ impl Node {
             return self.fail(FailureKind::NotAllowed, reason);
         }
         self.stage = Stage::Running;
+        self.sets = Sets::of_scene(hlods);
         self.send(Peer::Coordinator, Message::Ready { scene_digest, backend });
     }
 
@@ -303,8 +315,11 @@ impl Node {
         self.sets.insert(frame, Held { set: Arc::new(set), received: None });
         let counts = CullCounts {
             visible,
-            changed: totals.changed,
-            ids_delta: totals.code_bytes,
+            leaving: totals.leaving,
+            entering: totals.entering,
+            ids_delta_bits: totals.code_bits,
+            ids_bound_bits: totals.bound_bits,
+            ids_sent: totals.chunk_bytes,
             ids_full: visible.saturating_mul(4),
             ..counts
         };
@@ -323,6 +338,16 @@ impl Node {
         draw: DrawCounts,
     ) {
         self.handle_drawn(Role::RenderVisibleGeometry, frame, times, draw);
+    }
+
+    /// The picture of `frame`, which `Output::Render` asked for, has this hash; finding it took so long.
+    pub fn handle_hashed(&mut self, _now: Nanos, frame: FrameIndex, hash: u64, hashing: Nanos) {
+        if self.stage == Stage::Ended {
+            return;
+        }
+        assert!(self.unhashed.remove(&frame), "the picture of frame {frame} is hashed once");
+        self.send(Peer::Coordinator, Message::PictureHash { frame, hash, hashing });
+        self.leave_if_done();
     }
 
     /// The driver cannot go on.
@@ -434,6 +459,15 @@ impl Node {
         self.stage = Stage::Ended;
         self.send(Peer::Coordinator, Message::failed(kind, &reason));
         self.outputs.push_back(Output::Failed { kind, reason });
+    }
+
+    /// Takes leave once it is time to and nothing is owed.
+    fn leave_if_done(&mut self) {
+        if self.stage == Stage::Leaving && self.unhashed.is_empty() {
+            self.send(Peer::Coordinator, Message::Bye);
+            self.stage = Stage::Ended;
+            self.outputs.push_back(Output::Finished);
+        }
     }
 
     fn has_reported_last_phase(&self) -> bool {

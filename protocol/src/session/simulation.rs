@@ -6,7 +6,7 @@
 
 mod tests;
 
-use super::coordinator::{Coordinator, LinkId, Output as CoordinatorOutput};
+use super::coordinator::{Coordinator, LinkId, Output as CoordinatorOutput, Policy};
 use super::node::{Node, Output, Peer, ProcessState, WorkTimes};
 use crate::camera::Camera;
 use crate::codec::{Decoder, encode};
@@ -27,6 +27,9 @@ const TOKEN: Token = Token([5; 32]);
 const DIGEST: [u8; 32] = [9; 32];
 const MS: Nanos = 1_000_000;
 
+/// Hlods of the scene: more than [`walk`] names.
+const HLODS: u32 = 6500;
+
 /// An end of a link: a node by its index, or the coordinator.
 const COORDINATOR: usize = 3;
 
@@ -44,6 +47,16 @@ enum Fault {
     Hangs {
         seat: u8,
         after: usize,
+    },
+    /// The render thread on this seat never ends this frame's work; the node itself lives.
+    Stalls {
+        seat: u8,
+        frame: u32,
+    },
+    /// The picture thread on this seat never hashes this frame.
+    LosesHash {
+        seat: u8,
+        frame: u32,
     },
     /// Nothing passes between these two seats any more.
     Cut {
@@ -73,6 +86,7 @@ enum Work {
     CulledPart(FrameIndex, HlodId, Vec<HlodId>),
     Culled(FrameIndex),
     Rendered(FrameIndex),
+    Hashed(FrameIndex),
 }
 
 /// How an end of the run came out.
@@ -136,7 +150,13 @@ impl Simulation {
             now: 0,
             fault,
             expected: walk(frames),
-            coordinator: Coordinator::new(0, TOKEN, settings.clone(), cameras.clone()),
+            coordinator: Coordinator::new(
+                0,
+                TOKEN,
+                settings.clone(),
+                cameras.clone(),
+                Policy::default(),
+            ),
             settings,
             cameras,
             nodes: Vec::new(),
@@ -331,7 +351,7 @@ impl Simulation {
         match work {
             Work::Prepared => {
                 let backend = BackendInfo { name: "cpu".into(), driver: String::new() };
-                node.handle_prepared(now, DIGEST, backend);
+                node.handle_prepared(now, DIGEST, HLODS, backend);
             }
             Work::Occluded(frame) => node.handle_occluded(now, frame, times, DrawCounts::default()),
             Work::CulledPart(frame, through, ids) => {
@@ -339,6 +359,7 @@ impl Simulation {
             }
             Work::Culled(frame) => node.handle_culled(now, frame, times, CullCounts::default()),
             Work::Rendered(frame) => node.handle_rendered(now, frame, times, DrawCounts::default()),
+            Work::Hashed(frame) => node.handle_hashed(now, frame, u64::from(frame.0), 1),
         }
     }
 
@@ -371,6 +392,17 @@ impl Simulation {
 
     /// A node's driver.
     fn act(&mut self, i: usize, output: Output) {
+        let stalls = |frame| self.fault == Fault::Stalls { seat: self.seat_of_node[&i].0, frame };
+        match output {
+            Output::Occlude { frame: FrameIndex(frame), .. }
+            | Output::Cull { frame: FrameIndex(frame), .. }
+            | Output::Render { frame: FrameIndex(frame), .. }
+                if stalls(frame) =>
+            {
+                return;
+            }
+            _ => {}
+        }
         let delay = self.rng.random_range(0..20 * MS);
         match output {
             Output::Send { to: Peer::Coordinator, message } => self.send(i, COORDINATOR, &message),
@@ -396,6 +428,13 @@ impl Simulation {
                 assert_eq!(*visible, self.expected[frame.index()]);
                 self.rendered.push(frame);
                 self.later(delay, Event::Work(i, Work::Rendered(frame)));
+                if self.fault
+                    != (Fault::LosesHash { seat: self.seat_of_node[&i].0, frame: frame.0 })
+                {
+                    // Before the report or long after it.
+                    let hashed_in = self.rng.random_range(0..60 * MS);
+                    self.later(hashed_in, Event::Work(i, Work::Hashed(frame)));
+                }
             }
             Output::Finished => self.end(i, Ok(())),
             Output::Failed { kind, reason } => self.end(i, Err((kind, reason))),

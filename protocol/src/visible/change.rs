@@ -1,28 +1,33 @@
 //! The change from one visible set to the next, coded as it is found.
 //!
-//! The base is known at both ends, so an id that leaves is named by its position within the base
-//! and an id that enters by its position among all ids that are not in it: together less than naming
-//! both among all ids, which is what log2 C(N, k) counts. A chunk holds, packed from the least
-//! significant bit: how many of its ids leave (absent where the base is empty), their gaps, then the
-//! gaps of those that enter. Positions and the learnt mean gaps carry on from chunk to chunk.
+//! Both ends know the base and how many hlods there are, so an id that leaves is named by its position
+//! among the base's ids, one that enters by its position among all others. A change is cut into
+//! stretches of ids; a chunk says how many ids leave and enter in its stretch, and codes which
+//! (`subset`): log2 C(base ids in the stretch, leaving) + log2 C(others in it, entering) bits, the last
+//! bit rounded up. That is the code's own model and its bound: nothing is learnt from the ids, so no
+//! choice of them costs less.
 
-use super::VisibleSet;
-use super::rice::{BitReader, BitWriter, GapModel};
+use super::interval::{Reader, Writer};
+use super::{VisibleSet, entropy_bound_bits, subset};
 use crate::id::HlodId;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
 /// Changed ids after which a chunk is cut: some 640 bytes, so that framing is a small part of it.
-const CHUNK_IDS: usize = 512;
-/// Guess of the mean gap of a whole set, until a gap is seen.
-const WHOLE_SET_MEAN_GAP: u32 = 16;
+pub const CHUNK_IDS: usize = 512;
+/// Bytes of a chunk beside its code: where its stretch ends, and its two counts.
+const CHUNK_HEAD: u32 = 8;
 
-/// A part of a change, compactly coded.
+/// The change in one stretch of ids, from behind the chunk before up to `through`.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct DeltaChunk {
-    /// How many ids it names, at least 1.
-    pub count: u32,
-    /// Their gaps, coded.
+    /// Last id of the stretch.
+    pub through: HlodId,
+    /// How many ids of the base leave; with those that enter 1 to [`CHUNK_IDS`].
+    pub leaving: u16,
+    /// How many ids enter.
+    pub entering: u16,
+    /// Which, coded.
     #[serde(with = "crate::codec::bytes")]
     pub code: Vec<u8>,
 }
@@ -30,101 +35,104 @@ pub struct DeltaChunk {
 /// Why chunks make no set.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum ChangeError {
-    /// A chunk names nothing, or more ids leave than it names.
+    /// A chunk names nothing, too much, or more than its stretch has.
     #[error("a chunk of a change has impossible counts")]
     BadCount,
-    /// Bits end early, are left over, or no writer would have written them.
+    /// No writer would have written these bytes.
     #[error("a chunk of a change has a damaged code")]
     BadCode,
-    /// An id leaves that the base does not have, or one enters beyond 32 bits.
-    #[error("a change names an id that does not exist")]
+    /// A stretch ends where the one before has ended, or beyond the last hlod.
+    #[error("a chunk of a change ends at an hlod that is not its to end at")]
     NoSuchId,
 }
 
 /// What a change cost.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct ChangeTotals {
-    /// Ids that left or entered.
-    pub changed: u32,
-    /// Bytes of code in all chunks.
-    pub code_bytes: u32,
+    /// Ids that left.
+    pub leaving: u32,
+    /// Ids that entered.
+    pub entering: u32,
+    /// Bits of code in all chunks. What fills their last bytes is not counted.
+    pub code_bits: u32,
+    /// Least bits that any code of this model takes: the sum of the chunks' bounds.
+    pub bound_bits: f64,
+    /// Bytes of all chunks as they are sent: heads, and codes in whole bytes.
+    pub chunk_bytes: u32,
 }
 
-/// One of the two lists: a rising sequence of positions, sent as gaps.
-#[derive(Debug)]
-struct Track {
-    next: u32,
-    gaps: GapModel,
+/// A stretch of ids, split into those of the base and the others.
+#[derive(Debug, Clone, Copy)]
+struct Stretch {
+    /// First id.
+    first: u32,
+    /// Index in the base of the first base id that is not below `first`.
+    base_from: usize,
+    /// Base ids in it.
+    base_ids: u64,
+    /// Other ids in it.
+    others: u64,
 }
 
-impl Track {
-    fn new(mean: u32) -> Self {
-        Self { next: 0, gaps: GapModel::new(mean) }
-    }
-
-    fn write(&mut self, position: u32, out: &mut BitWriter) {
-        self.gaps.write(position - self.next, out);
-        // Position u32::MAX is the last there is, so nothing is written after a saturated one.
-        self.next = position.saturating_add(1);
-    }
-
-    fn read(&mut self, from: &mut BitReader<'_>) -> Result<u32, ChangeError> {
-        let gap = self.gaps.read(from).ok_or(ChangeError::BadCode)?;
-        let position = self.next.checked_add(gap).ok_or(ChangeError::NoSuchId)?;
-        self.next = position.saturating_add(1);
-        Ok(position)
-    }
-}
-
-/// Both lists, first guesses made from the base and the first chunk's counts, as both ends can.
-#[derive(Debug)]
-struct Tracks {
-    leaving: Track,
-    entering: Track,
-}
-
-impl Tracks {
-    fn new(base: &VisibleSet, leaving: u32, entering: u32) -> Self {
-        let mean =
-            |universe: u32, picked: u32| universe.saturating_sub(picked) / picked.saturating_add(1);
-        let size = base.len() as u32;
-        // Ids go on about as far as the base does.
-        let outside = base.ids().last().map(|last| last.0 - (size - 1));
-        Self {
-            leaving: Track::new(mean(size, leaving)),
-            entering: Track::new(outside.map_or(WHOLE_SET_MEAN_GAP, |n| mean(n, entering))),
+impl Stretch {
+    /// From `first` to `through`; none if that is no stretch of `hlods` ids.
+    fn new(base: &VisibleSet, hlods: u32, first: u32, through: HlodId) -> Option<Self> {
+        if through.0 < first || through.0 >= hlods {
+            return None;
         }
+        let base_from = base.ids().partition_point(|id| id.0 < first);
+        let base_to = base.ids().partition_point(|&id| id <= through);
+        let base_ids = (base_to - base_from) as u64;
+        let others = u64::from(through.0 - first) + 1 - base_ids;
+        Some(Self { first, base_from, base_ids, others })
     }
-}
 
-/// Bits that tell how many of `count` ids leave.
-fn split_bits(base: &VisibleSet, count: u32) -> u32 {
-    if base.is_empty() { 0 } else { u32::BITS - count.leading_zeros() }
+    /// The code of a change within the stretch, and its bits. Leaving: positions among its base ids.
+    /// Entering: positions among its other ids.
+    fn code(&self, leaving: &[u32], entering: &[u32]) -> (Vec<u8>, u32) {
+        let mut writer = Writer::new();
+        subset::write(leaving, self.base_ids, &mut writer);
+        subset::write(entering, self.others, &mut writer);
+        writer.finish()
+    }
+
+    /// Least bits of so many changes within it.
+    fn bound_bits(&self, leaving: u64, entering: u64) -> f64 {
+        entropy_bound_bits(self.base_ids, leaving) + entropy_bound_bits(self.others, entering)
+    }
 }
 
 /// Codes the change from a base while the next set is found in id order.
 #[derive(Debug)]
 pub struct ChangeWriter {
     base: Arc<VisibleSet>,
+    hlods: u32,
     /// Base ids passed so far.
     passed: usize,
     next: Vec<HlodId>,
-    leaving: Vec<u32>,
-    entering: Vec<u32>,
-    tracks: Option<Tracks>,
+    /// First id behind the last chunk.
+    first: u32,
+    /// Ids of the base, and other ids, that changed since.
+    leaving: Vec<HlodId>,
+    entering: Vec<HlodId>,
     totals: ChangeTotals,
 }
 
 impl ChangeWriter {
-    /// Starts at the lowest id.
-    pub fn new(base: Arc<VisibleSet>) -> Self {
+    /// Starts at the lowest id of a scene of `hlods`.
+    ///
+    /// # Panics
+    /// If the base names an hlod that the scene does not have.
+    pub fn new(base: Arc<VisibleSet>, hlods: u32) -> Self {
+        assert!(base.ids().last().is_none_or(|last| last.0 < hlods), "a base of this scene");
         Self {
             base,
+            hlods,
             passed: 0,
             next: Vec::new(),
+            first: 0,
             leaving: Vec::new(),
             entering: Vec::new(),
-            tracks: None,
             totals: ChangeTotals::default(),
         }
     }
@@ -132,20 +140,21 @@ impl ChangeWriter {
     /// Takes all ids of the next set up to `through`; appends chunks that have grown full.
     ///
     /// # Panics
-    /// If the ids are not sorted, go beyond `through` or do not follow those taken before.
+    /// If the ids are not sorted, go beyond `through` or the scene, or do not follow those taken before.
     pub fn push(&mut self, through: HlodId, visible: &[HlodId], chunks: &mut Vec<DeltaChunk>) {
+        assert!(through.0 < self.hlods, "hlods of this scene");
         for &id in visible {
             assert!(id <= through && self.next.last().is_none_or(|&last| last < id));
             self.leave_below(id, chunks);
             if self.base.ids().get(self.passed) == Some(&id) {
                 self.passed += 1;
             } else {
-                self.entering.push(id.0 - self.passed as u32);
-                self.cut_if(CHUNK_IDS, chunks);
+                self.entering.push(id);
+                self.cut_if_full(id, chunks);
             }
             self.next.push(id);
         }
-        self.leave_below(HlodId(through.0.saturating_add(1)), chunks);
+        self.leave_below(HlodId(through.0 + 1), chunks);
     }
 
     /// Ends the set; appends the last chunk, if anything is left for it.
@@ -153,7 +162,9 @@ impl ChangeWriter {
         while self.passed < self.base.len() {
             self.leave_next(chunks);
         }
-        self.cut_if(1, chunks);
+        if self.leaving.len() + self.entering.len() > 0 {
+            self.cut(HlodId(self.hlods - 1), chunks);
+        }
         (VisibleSet::from_sorted(self.next), self.totals)
     }
 
@@ -164,83 +175,94 @@ impl ChangeWriter {
     }
 
     fn leave_next(&mut self, chunks: &mut Vec<DeltaChunk>) {
-        self.leaving.push(self.passed as u32);
+        let id = self.base.ids()[self.passed];
+        self.leaving.push(id);
         self.passed += 1;
-        self.cut_if(CHUNK_IDS, chunks);
+        self.cut_if_full(id, chunks);
     }
 
-    fn cut_if(&mut self, least: usize, chunks: &mut Vec<DeltaChunk>) {
-        let count = self.leaving.len() + self.entering.len();
-        if count < least {
-            return;
+    /// `changed` is the last id that changed.
+    fn cut_if_full(&mut self, changed: HlodId, chunks: &mut Vec<DeltaChunk>) {
+        if self.leaving.len() + self.entering.len() == CHUNK_IDS {
+            self.cut(changed, chunks);
         }
-        let (count, leave) = (count as u32, self.leaving.len() as u32);
-        let tracks =
-            self.tracks.get_or_insert_with(|| Tracks::new(&self.base, leave, count - leave));
-        let mut out = BitWriter::default();
-        out.put(leave, split_bits(&self.base, count));
-        self.leaving.drain(..).for_each(|position| tracks.leaving.write(position, &mut out));
-        self.entering.drain(..).for_each(|position| tracks.entering.write(position, &mut out));
-        let code = out.into_bytes();
-        self.totals.changed += count;
-        self.totals.code_bytes += code.len() as u32;
-        chunks.push(DeltaChunk { count, code });
+    }
+
+    /// Makes a chunk of what has changed since the last one.
+    fn cut(&mut self, through: HlodId, chunks: &mut Vec<DeltaChunk>) {
+        let stretch = Stretch::new(&self.base, self.hlods, self.first, through)
+            .expect("changes come in id order");
+        let base = &self.base.ids()[stretch.base_from..];
+        let below = |id: HlodId| base.partition_point(|&base_id| base_id < id) as u32;
+        let leaving: Vec<u32> = self.leaving.drain(..).map(below).collect();
+        let entering: Vec<u32> =
+            self.entering.drain(..).map(|id| id.0 - stretch.first - below(id)).collect();
+        let (code, bits) = stretch.code(&leaving, &entering);
+
+        let totals = &mut self.totals;
+        totals.leaving += leaving.len() as u32;
+        totals.entering += entering.len() as u32;
+        totals.code_bits += bits;
+        totals.bound_bits += stretch.bound_bits(leaving.len() as u64, entering.len() as u64);
+        totals.chunk_bytes += CHUNK_HEAD + code.len() as u32;
+        self.first = through.0 + 1;
+        // At most `CHUNK_IDS` each.
+        let (leaving, entering) = (leaving.len() as u16, entering.len() as u16);
+        chunks.push(DeltaChunk { through, leaving, entering, code });
     }
 }
 
-/// Rebuilds the next set from its base and chunks.
+/// Takes chunks in their order, gives the set.
 #[derive(Debug)]
 pub struct ChangeReader {
     base: Arc<VisibleSet>,
-    /// Base ids below the last one that entered.
-    passed: usize,
-    leaving: Vec<u32>,
+    hlods: u32,
+    /// First id behind the last chunk.
+    first: u32,
+    /// Indices in the base of those that leave.
+    leaving: Vec<usize>,
     entering: Vec<HlodId>,
-    tracks: Option<Tracks>,
 }
 
 impl ChangeReader {
-    /// Starts at the lowest id.
-    pub fn new(base: Arc<VisibleSet>) -> Self {
-        Self { base, passed: 0, leaving: Vec::new(), entering: Vec::new(), tracks: None }
+    /// Starts at the lowest id of a scene of `hlods`.
+    pub fn new(base: Arc<VisibleSet>, hlods: u32) -> Self {
+        Self { base, hlods, first: 0, leaving: Vec::new(), entering: Vec::new() }
     }
 
     /// Takes the next chunk. After an error the reader is of no more use.
     ///
-    /// Never panics, and allocates no more than the code's bits can name.
+    /// Never panics, and holds no more than [`CHUNK_IDS`] ids a chunk.
     pub fn push(&mut self, chunk: &DeltaChunk) -> Result<(), ChangeError> {
-        let count = chunk.count;
-        let mut bits = BitReader::new(&chunk.code);
-        let leave = bits.take(split_bits(&self.base, count)).ok_or(ChangeError::BadCode)?;
-        let enter = count.checked_sub(leave).ok_or(ChangeError::BadCount)?;
-        if count == 0 {
+        let stretch = Stretch::new(&self.base, self.hlods, self.first, chunk.through)
+            .ok_or(ChangeError::NoSuchId)?;
+        let (leave, enter) = (u64::from(chunk.leaving), u64::from(chunk.entering));
+        let possible = leave <= stretch.base_ids && enter <= stretch.others;
+        if !possible || !(1..=CHUNK_IDS as u64).contains(&(leave + enter)) {
             return Err(ChangeError::BadCount);
         }
-        let tracks = self.tracks.get_or_insert_with(|| Tracks::new(&self.base, leave, enter));
-        for _ in 0..leave {
-            let position = tracks.leaving.read(&mut bits)?;
-            if position as usize >= self.base.len() {
-                return Err(ChangeError::NoSuchId);
-            }
-            self.leaving.push(position);
+
+        let mut reader = Reader::new(&chunk.code);
+        let leaving = subset::read(&mut reader, leave, stretch.base_ids);
+        let entering = subset::read(&mut reader, enter, stretch.others);
+        // Any bytes mean something. Those that a writer would not have written are damage.
+        if stretch.code(&leaving, &entering).0 != chunk.code {
+            return Err(ChangeError::BadCode);
         }
-        for _ in 0..enter {
-            let position = tracks.entering.read(&mut bits)?;
-            // Of the ids below a base id, as many are outside the base as its value exceeds its index.
-            let outside_below = |(index, id): (usize, &HlodId)| id.0 - index as u32;
-            while let Some(id) = self.base.ids().get(self.passed)
-                && outside_below((self.passed, id)) <= position
-            {
-                self.passed += 1;
+
+        let base = &self.base.ids()[stretch.base_from..];
+        let mut below = 0;
+        for position in entering {
+            // Of the ids below a base id, as many are others as its value exceeds its index.
+            let others_below = |index: usize| base[index].0 - stretch.first - index as u32;
+            while below < stretch.base_ids as usize && others_below(below) <= position {
+                below += 1;
             }
-            let id = position.checked_add(self.passed as u32).ok_or(ChangeError::NoSuchId)?;
-            // A saturated position repeats: only a damaged code does that.
-            if self.entering.last().is_some_and(|last| last.0 >= id) {
-                return Err(ChangeError::NoSuchId);
-            }
-            self.entering.push(HlodId(id));
+            self.entering.push(HlodId(stretch.first + position + below as u32));
         }
-        if bits.ends_here() { Ok(()) } else { Err(ChangeError::BadCode) }
+        self.leaving.extend(leaving.iter().map(|&at| stretch.base_from + at as usize));
+        self.first = chunk.through.0 + 1;
+        Ok(())
     }
 
     /// The next set: the base without those that left, with those that entered.
@@ -248,11 +270,11 @@ impl ChangeReader {
         let mut leaving = self.leaving.iter().peekable();
         let mut entering = self.entering.iter().copied().peekable();
         let mut ids = Vec::with_capacity(self.base.len() + self.entering.len());
-        for (position, &id) in self.base.ids().iter().enumerate() {
+        for (index, &id) in self.base.ids().iter().enumerate() {
             while let Some(entered) = entering.next_if(|&entered| entered < id) {
                 ids.push(entered);
             }
-            if leaving.next_if(|&&left| left as usize == position).is_none() {
+            if leaving.next_if(|&&left| left == index).is_none() {
                 ids.push(id);
             }
         }

@@ -3,7 +3,7 @@
 use super::{HEARTBEAT, HELLO_TIMEOUT, LinkId, PEER_TIMEOUT, Pings};
 use crate::id::Seat;
 use crate::message::PeerAddress;
-use crate::telemetry::Nanos;
+use crate::telemetry::{BackendInfo, Nanos};
 use std::collections::BTreeMap;
 
 /// A seated node.
@@ -19,7 +19,8 @@ pub(super) struct Member {
     /// When a heartbeat was last due.
     pub(super) pinged: Nanos,
     pub(super) pings: Pings,
-    pub(super) is_ready: bool,
+    /// What it draws with; none until it is ready.
+    pub(super) renderer: Option<BackendInfo>,
     /// It has reported the present phase.
     pub(super) is_done: bool,
     /// It has taken leave, or its link has ended.
@@ -37,7 +38,7 @@ impl Member {
             heard: now,
             pinged: now,
             pings: Pings::default(),
-            is_ready: false,
+            renderer: None,
             is_done: false,
             is_gone: false,
         }
@@ -111,6 +112,11 @@ impl Links {
     /// Whether `condition` holds for all seated nodes.
     pub(super) fn all(&self, condition: impl Fn(&Member) -> bool) -> bool {
         self.members.iter().all(condition)
+    }
+
+    /// All seated nodes.
+    pub(super) fn members(&self) -> &[Member] {
+        &self.members
     }
 
     /// Changes all seated nodes.

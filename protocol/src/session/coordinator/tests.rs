@@ -7,6 +7,10 @@ use crate::sun::Sun;
 const TOKEN: Token = Token([4; 32]);
 
 fn coordinator() -> Coordinator {
+    coordinator_with(Policy::default())
+}
+
+fn coordinator_with(policy: Policy) -> Coordinator {
     let settings = RunSettings {
         scene_path: "plant.occ".into(),
         scene_digest: [1; 32],
@@ -29,7 +33,7 @@ fn coordinator() -> Coordinator {
         pictures_dir: None,
     };
     let camera = Camera::look_at([0.0; 3], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0], 60.0, 0.1).unwrap();
-    let mut coordinator = Coordinator::new(0, TOKEN, settings, vec![camera]);
+    let mut coordinator = Coordinator::new(0, TOKEN, settings, vec![camera], policy);
     (0..5).for_each(|link| coordinator.handle_connected(0, LinkId(link)));
     coordinator
 }
@@ -44,7 +48,11 @@ fn outputs(coordinator: &mut Coordinator) -> Vec<Output> {
 
 /// All three seats taken, nothing left to do.
 fn seated() -> Coordinator {
-    let mut coordinator = coordinator();
+    seated_with(Policy::default())
+}
+
+fn seated_with(policy: Policy) -> Coordinator {
+    let mut coordinator = coordinator_with(policy);
     for link in 0..3 {
         coordinator.handle_message(0, LinkId(link), hello(WIRE_VERSION, TOKEN));
     }
@@ -122,6 +130,84 @@ fn another_scene_is_not_allowed() {
     coordinator.handle_message(0, LinkId(1), Message::Ready { scene_digest: [2; 32], backend });
     let outputs = outputs(&mut coordinator);
     assert_eq!(failure(&outputs).map(|(kind, _)| kind), Some(FailureKind::NotAllowed));
+}
+
+/// What follows when seat 2 draws with another driver than the others.
+fn mixed_seats(policy: Policy) -> Vec<Output> {
+    let mut coordinator = seated_with(policy);
+    for (link, driver) in [(0, "vega"), (1, "vega"), (2, "llvmpipe")] {
+        let backend = BackendInfo { name: "gpu".into(), driver: driver.into() };
+        let ready = Message::Ready { scene_digest: [1; 32], backend };
+        coordinator.handle_message(0, LinkId(link), ready);
+    }
+    outputs(&mut coordinator)
+}
+
+#[test]
+fn seats_with_different_renderers_are_refused_unless_that_is_wanted() {
+    let refused = mixed_seats(Policy::default());
+    let (kind, reason) = failure(&refused).unwrap();
+    assert_eq!(kind, FailureKind::NotAllowed);
+    for said in ["seat 0 with gpu (vega)", "seat 2 with gpu (llvmpipe)", "--mixed"] {
+        assert!(reason.contains(said), "{reason}");
+    }
+    let wanted = mixed_seats(Policy { mixed: true, ..Policy::default() });
+    assert_eq!(failure(&wanted), None);
+    let pinged =
+        |output: &&Output| matches!(output, Output::Send { message: Message::Ping { .. }, .. });
+    assert_eq!(wanted.iter().filter(pinged).count(), 3, "the run goes on");
+}
+
+/// Phase -1 under way, in which seat 0 makes the depth of frame 0.
+fn running() -> Coordinator {
+    let mut coordinator = seated();
+    for link in 0..3 {
+        let backend = BackendInfo { name: "cpu".into(), driver: String::new() };
+        let ready = Message::Ready { scene_digest: [1; 32], backend };
+        coordinator.handle_message(0, LinkId(link), ready);
+    }
+    let mut pings: VecDeque<Output> = outputs(&mut coordinator).into();
+    while let Some(output) = pings.pop_front() {
+        if let Output::Send { to, message: Message::Ping { sequence, sent } } = output {
+            let pong = Message::Pong { sequence, sent, answered: 0 };
+            coordinator.handle_message(0, to, pong);
+            pings.extend(outputs(&mut coordinator));
+        }
+    }
+    assert_eq!(coordinator.stage, Stage::Running(Phase::FIRST));
+    coordinator
+}
+
+#[test]
+fn pictures_are_hashed_once_and_by_who_draws_them() {
+    let hash = |frame| Message::PictureHash { frame: FrameIndex(frame), hash: 1, hashing: 2 };
+    // Frame 0 is drawn by seat 2, in the phase after this one.
+    for (link, frame) in [(0, 0), (2, 0), (2, 1)] {
+        let mut coordinator = running();
+        coordinator.handle_message(0, LinkId(link), hash(frame));
+        let outputs = outputs(&mut coordinator);
+        assert_eq!(failure(&outputs).map(|(kind, _)| kind), Some(FailureKind::Protocol));
+    }
+    let mut coordinator = running();
+    coordinator.stage = Stage::Finishing;
+    coordinator.handle_message(0, LinkId(2), hash(0));
+    let [Output::Picture { frame: FrameIndex(0), .. }] = outputs(&mut coordinator)[..] else {
+        panic!("a hash of its own in its time")
+    };
+    coordinator.handle_message(0, LinkId(2), hash(0));
+    assert!(failure(&outputs(&mut coordinator)).is_some());
+}
+
+#[test]
+fn nobody_takes_leave_before_its_pictures_are_hashed() {
+    let mut coordinator = running();
+    coordinator.stage = Stage::Finishing;
+    coordinator.handle_message(0, LinkId(0), Message::Bye);
+    assert_eq!(failure(&outputs(&mut coordinator)), None, "seat 0 draws no picture");
+    coordinator.handle_message(0, LinkId(2), Message::Bye);
+    let outputs = outputs(&mut coordinator);
+    let (_, reason) = failure(&outputs).unwrap();
+    assert!(reason.starts_with("seat 2") && reason.contains("frame 0"), "{reason}");
 }
 
 #[test]

@@ -33,13 +33,25 @@ struct Incoming {
 }
 
 /// All sets by frame.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub(super) struct Sets {
+    /// Hlods of the scene.
+    hlods: u32,
     held: BTreeMap<FrameIndex, Held>,
     incoming: BTreeMap<FrameIndex, Incoming>,
 }
 
 impl Sets {
+    /// No set of a scene of `hlods` is held.
+    pub(super) fn of_scene(hlods: u32) -> Self {
+        Self { hlods, held: BTreeMap::new(), incoming: BTreeMap::new() }
+    }
+
+    /// Hlods of the scene.
+    pub(super) fn hlods(&self) -> u32 {
+        self.hlods
+    }
+
     /// V_`frame`, if it is held.
     pub(super) fn get(&self, frame: FrameIndex) -> Option<&Held> {
         self.held.get(&frame)
@@ -65,13 +77,13 @@ impl Sets {
         base: Option<FrameIndex>,
         chunk: &DeltaChunk,
     ) -> Result<(), String> {
-        let set = self.base(base);
+        let (set, hlods) = (self.base(base), self.hlods);
         let incoming = self.incoming.entry(frame).or_default();
         if incoming.whole_asked && base.is_some() {
             return Err(format!("sent a change where V_{frame} was asked for whole"));
         }
-        let (first_base, reader) =
-            incoming.stream.get_or_insert_with(|| (base, set.map(ChangeReader::new)));
+        let reader = || set.map(|base| ChangeReader::new(base, hlods));
+        let (first_base, reader) = incoming.stream.get_or_insert_with(|| (base, reader()));
         if *first_base != base {
             return Err(format!("changed the base of V_{frame} half way"));
         }
@@ -94,7 +106,7 @@ impl Sets {
         let base = if whole_asked { None } else { base };
         let reader = match stream {
             Some((_, reader)) => reader,
-            None => self.base(base).map(ChangeReader::new),
+            None => self.base(base).map(|base| ChangeReader::new(base, self.hlods)),
         };
         let right = |set: &VisibleSet| set.len() == visible as usize && set.checksum() == checksum;
         if let Some(set) = reader.map(ChangeReader::finish).filter(right) {
@@ -112,7 +124,7 @@ impl Sets {
     pub(super) fn whole(&self, frame: FrameIndex) -> Option<(Vec<DeltaChunk>, Arc<VisibleSet>)> {
         let set = self.get(frame)?.set.clone();
         let mut chunks = Vec::new();
-        let mut writer = ChangeWriter::new(Arc::default());
+        let mut writer = ChangeWriter::new(Arc::default(), self.hlods);
         if let Some(&last) = set.ids().last() {
             writer.push(last, set.ids(), &mut chunks);
         }
@@ -145,7 +157,7 @@ mod tests {
     }
 
     fn with_base() -> Sets {
-        let mut sets = Sets::default();
+        let mut sets = Sets::of_scene(9);
         sets.insert(FrameIndex(0), Held { set: set(&[1, 2]), received: None });
         sets
     }
@@ -170,7 +182,7 @@ mod tests {
 
     #[test]
     fn a_missing_base_is_asked_for_once() {
-        let mut sets = Sets::default();
+        let mut sets = Sets::of_scene(9);
         let (frame, base) = (FrameIndex(4), Some(FrameIndex(3)));
         assert_eq!(sets.end(0, frame, base, (1, 0)), Ok(Ended::AskWhole));
         let (chunks, whole) = with_base().whole(FrameIndex(0)).unwrap();
@@ -182,7 +194,7 @@ mod tests {
 
     #[test]
     fn a_whole_set_that_is_wrong_ends_it() {
-        let mut sets = Sets::default();
+        let mut sets = Sets::of_scene(9);
         assert_eq!(sets.end(0, FrameIndex(0), None, (1, 0)), Ok(Ended::AskWhole));
         assert!(sets.end(0, FrameIndex(0), None, (1, 0)).is_err());
     }
@@ -190,7 +202,7 @@ mod tests {
     #[test]
     fn the_base_may_not_change_half_way() {
         let mut sets = with_base();
-        let chunk = DeltaChunk { count: 1, code: vec![0] };
+        let chunk = DeltaChunk { through: HlodId(8), leaving: 0, entering: 1, code: vec![0] };
         sets.chunk(FrameIndex(1), None, &chunk).unwrap();
         assert!(sets.chunk(FrameIndex(1), Some(FrameIndex(0)), &chunk).is_err());
     }

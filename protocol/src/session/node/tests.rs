@@ -44,7 +44,7 @@ fn new_node() -> Node {
 fn ready(seat: u8, schedule: Schedule) -> Node {
     let mut node = new_node();
     node.handle_message(0, Peer::Coordinator, welcome(seat, schedule));
-    node.handle_prepared(0, DIGEST, BackendInfo { name: "cpu".into(), driver: String::new() });
+    node.handle_prepared(0, DIGEST, 9, BackendInfo { name: "cpu".into(), driver: String::new() });
     outputs(&mut node);
     node
 }
@@ -64,7 +64,7 @@ fn failure(node: &mut Node) -> Option<(FailureKind, String)> {
 fn another_scene_is_refused() {
     let mut node = new_node();
     node.handle_message(0, Peer::Coordinator, welcome(0, Schedule::Switch));
-    node.handle_prepared(0, [0; 32], BackendInfo { name: "cpu".into(), driver: String::new() });
+    node.handle_prepared(0, [0; 32], 9, BackendInfo { name: "cpu".into(), driver: String::new() });
     assert_eq!(failure(&mut node).map(|(kind, _)| kind), Some(FailureKind::NotAllowed));
 }
 
@@ -142,10 +142,35 @@ fn a_change_that_comes_before_its_phase_is_kept() {
     assert!(matches!(outputs[..], [Output::Render { frame: FrameIndex(0), .. }]), "{outputs:?}");
 }
 
+#[test]
+fn leave_is_taken_when_the_last_picture_is_hashed() {
+    let mut node = ready(2, Schedule::Switch);
+    for phase in -1..4 {
+        let phase = Phase(phase);
+        let next_camera = (phase.0 < 3).then(camera);
+        let frame = FrameIndex(phase.0.max(0) as u32);
+        node.handle_message(1, Peer::Coordinator, Message::Phase { phase, next_camera });
+        if phase != Phase::FIRST {
+            let checksum = VisibleSet::default().checksum();
+            let end = Message::EndOfFrame { frame, visible: 0, checksum };
+            node.handle_message(1, Peer::Seat(Seat((phase.0 % 2) as u8)), end);
+            node.handle_rendered(1, frame, WorkTimes::default(), DrawCounts::default());
+        }
+    }
+    (0..3).for_each(|frame| node.handle_hashed(1, FrameIndex(frame), 7, 3));
+    node.handle_message(2, Peer::Coordinator, Message::Finish);
+    let is_bye = |output: &Output| matches!(output, Output::Send { message: Message::Bye, .. });
+    assert!(!outputs(&mut node).iter().any(is_bye), "the picture of frame 3 is not hashed");
+    node.handle_hashed(3, FrameIndex(3), 7, 3);
+    let last = outputs(&mut node);
+    assert!(matches!(last[..], [Output::Send { message: Message::PictureHash { .. }, .. }, _, _]));
+    assert!(is_bye(&last[1]) && last[2] == Output::Finished, "{last:?}");
+}
+
 fn any_message() -> impl Strategy<Value = Message> {
     let frame = (0u32..6).prop_map(FrameIndex);
     let base = proptest::option::of((0u32..6).prop_map(FrameIndex));
-    let code = (0u32..9, proptest::collection::vec(any::<u8>(), 0..4));
+    let code = (0u32..10, 0u16..3, 0u16..3, proptest::collection::vec(any::<u8>(), 0..4));
     let end =
         (frame.clone(), 0u32..3, prop_oneof![Just(VisibleSet::default().checksum()), any::<u64>()]);
     prop_oneof![
@@ -153,11 +178,12 @@ fn any_message() -> impl Strategy<Value = Message> {
             phase: Phase(phase),
             next_camera: path.then(camera),
         }),
-        (frame.clone(), base, code).prop_map(|(frame, base, (count, code))| Message::Delta {
-            frame,
-            base,
-            chunk: DeltaChunk { count, code },
-        }),
+        (frame.clone(), base, code).prop_map(
+            |(frame, base, (through, leaving, entering, code))| {
+                let chunk = DeltaChunk { through: HlodId(through), leaving, entering, code };
+                Message::Delta { frame, base, chunk }
+            }
+        ),
         end.prop_map(|(frame, visible, checksum)| {
             Message::EndOfFrame { frame, visible, checksum }
         }),
@@ -202,6 +228,7 @@ proptest! {
                         node.handle_culled(1, frame, times, CullCounts::default());
                     }
                     Output::Render { frame, .. } => {
+                        node.handle_hashed(1, frame, 7, 3);
                         node.handle_rendered(1, frame, times, DrawCounts::default());
                     }
                     _ => {}

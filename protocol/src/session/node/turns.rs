@@ -33,10 +33,9 @@ impl Node {
             Message::Phase { phase, next_camera } if self.stage == Stage::Running => {
                 self.begin_phase(now, phase, next_camera)
             }
-            Message::Finish if self.has_reported_last_phase() => {
-                self.send(Peer::Coordinator, Message::Bye);
-                self.stage = Stage::Ended;
-                self.outputs.push_back(Output::Finished);
+            Message::Finish if self.stage == Stage::Running && self.has_reported_last_phase() => {
+                self.stage = Stage::Leaving;
+                self.leave_if_done();
                 Ok(())
             }
             Message::Failed { kind, reason } => {
@@ -184,7 +183,10 @@ impl Node {
         let set = set.unwrap_or_else(|| Arc::new(VisibleSet::whole_scene()));
         let output = match role {
             Role::OcclusionRepresentation => Output::Occlude { frame, camera, occluders: set },
-            Role::RenderVisibleGeometry => Output::Render { frame, camera, visible: set },
+            Role::RenderVisibleGeometry => {
+                self.unhashed.insert(frame);
+                Output::Render { frame, camera, visible: set }
+            }
             Role::HardwareCull => {
                 let base = schedule::delta_base(self.settings().schedule, frame);
                 let base = self.sets.base(base);
@@ -192,7 +194,8 @@ impl Node {
                     base.is_some(),
                     "the schedule leaves the base of V_{frame} with its culler"
                 );
-                self.culling = base.map(ChangeWriter::new);
+                let hlods = self.sets.hlods();
+                self.culling = base.map(|base| ChangeWriter::new(base, hlods));
                 Output::Cull { frame, camera }
             }
         };

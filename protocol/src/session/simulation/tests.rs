@@ -1,7 +1,7 @@
 //! What a run promises, whatever the network does.
 
 use super::*;
-use crate::session::PEER_TIMEOUT;
+use crate::session::{PEER_TIMEOUT, PHASE_LIMIT};
 
 const SCHEDULES: [Schedule; 2] = [Schedule::Switch, Schedule::Rotate];
 
@@ -12,6 +12,19 @@ fn run(schedule: Schedule, frames: u32, seed: u64, fault: Fault) -> Simulation {
 fn assert_complete(simulation: &Simulation, frames: u32) {
     assert!(simulation.endings.iter().all(|end| end == &Some(Ok(()))), "{:?}", simulation.endings);
     assert_eq!(simulation.rendered, (0..frames).map(FrameIndex).collect::<Vec<_>>());
+    let mut hashed: Vec<u64> = simulation
+        .trace
+        .iter()
+        .filter_map(|output| match output {
+            CoordinatorOutput::Picture { frame, hash, .. } => {
+                assert_eq!(*hash, u64::from(frame.0));
+                Some(*hash)
+            }
+            _ => None,
+        })
+        .collect();
+    hashed.sort_unstable();
+    assert_eq!(hashed, (0..u64::from(frames)).collect::<Vec<_>>(), "no hash is lost");
 }
 
 /// The coordinator and every node that still lives have failed, and the coordinator names `name`.
@@ -57,10 +70,14 @@ fn reports_say_what_changed_and_what_it_cost() {
         let mut culls = reports.filter(|work| work.frame == FrameIndex(frame));
         culls.find_map(|work| work.cull).unwrap()
     };
-    assert_eq!((cull(0).visible, cull(0).changed, cull(0).ids_full), (400, 400, 1600));
-    assert_eq!((cull(1).changed, cull(1).ids_delta), (0, 0));
-    assert!(cull(2).changed > 0 && cull(2).ids_delta > 0);
-    assert_eq!((cull(3).visible, cull(3).changed), (0, 400));
+    let counts = |frame| (cull(frame).visible, cull(frame).leaving, cull(frame).entering);
+    assert_eq!((counts(0), cull(0).ids_full), ((400, 0, 400), 1600));
+    assert_eq!((cull(1).leaving, cull(1).entering), (0, 0));
+    assert_eq!((cull(1).ids_delta_bits, cull(1).ids_sent), (0, 0));
+    assert!(cull(2).leaving > 0 && cull(2).leaving == cull(2).entering);
+    assert!(cull(2).ids_bound_bits > 0.0);
+    assert!(f64::from(cull(2).ids_delta_bits) >= cull(2).ids_bound_bits);
+    assert_eq!(counts(3), (0, 400, 0));
 }
 
 #[test]
@@ -125,11 +142,49 @@ fn a_node_that_hangs_is_given_up_and_named() {
     }
 }
 
+/// HC, OR and RVG alike; who waits for the visible set of a stalled HC is not blamed.
+#[test]
+fn a_render_thread_that_hangs_is_named_with_its_work_and_for_how_long() {
+    for schedule in SCHEDULES {
+        for seat in 0..3 {
+            for frame in 0..6 {
+                let simulation = run(schedule, 12, 4, Fault::Stalls { seat, frame });
+                if simulation.now < PHASE_LIMIT {
+                    // Not this seat's frame.
+                    assert_complete(&simulation, 12);
+                    continue;
+                }
+                let context = format!("{schedule:?} seat {seat} frame {frame}");
+                assert_failed(&simulation, &format!("seat {seat} has been at "), &context);
+                let Some(Err((kind, reason))) = &simulation.endings[COORDINATOR] else { panic!() };
+                assert_eq!(*kind, FailureKind::Unavailable);
+                assert!(reason.contains(&format!("({frame}) for 6")), "{context}: {reason}");
+                assert_eq!(reason.matches("seat ").count(), 1, "{context}: {reason}");
+            }
+        }
+    }
+    let stalled =
+        [0, 1, 2].map(|seat| run(Schedule::Switch, 12, 4, Fault::Stalls { seat, frame: 3 }));
+    let ends = stalled.map(|simulation| simulation.now >= PHASE_LIMIT);
+    assert_eq!(ends, [false, true, true], "frame 3 is seat 1's to cull and seat 2's to draw");
+}
+
+#[test]
+fn a_picture_that_is_never_hashed_is_not_waited_for_for_ever() {
+    for frame in [0, 4] {
+        let simulation = run(Schedule::Switch, 5, 6, Fault::LosesHash { seat: 2, frame });
+        let Some(Err((kind, reason))) = &simulation.endings[COORDINATOR] else { panic!() };
+        assert_eq!(*kind, FailureKind::Unavailable);
+        assert!(reason.starts_with("seat 2 has 1 pictures not hashed"), "{reason}");
+        assert!(simulation.now >= PHASE_LIMIT);
+    }
+}
+
 #[test]
 fn a_cut_between_two_nodes_alone_is_found() {
     for seats in [[0, 1], [1, 2], [0, 2]] {
         let fault = Fault::Cut { seats, after: 350 };
-        let simulation = run(Schedule::Switch, 12, 2, fault);
+        let simulation = run(Schedule::Switch, 12, 3, fault);
         let Some(Err((kind, reason))) = &simulation.endings[COORDINATOR] else { panic!() };
         assert_eq!(*kind, FailureKind::Unavailable);
         assert!(seats.iter().all(|seat| reason.contains(&format!("seat {seat}"))), "{reason}");
