@@ -145,7 +145,7 @@ fn an_audit_beside_a_deadline_takes_no_stand_in_for_a_lost_pixel() {
             assert!(run.number("/stand_ins/replaced") > 0.0, "nothing was ever late: a weak test");
             let unknown = run.column("unknown_pixels");
             let frames = unknown.iter().zip(run.column("replaced"));
-            for (unknown, replaced) in frames {
+            for (&unknown, replaced) in frames {
                 assert!(unknown == "0" || replaced != "0");
             }
             // Something is compared even where something stands in.
