@@ -187,7 +187,8 @@ fn serve(
                 let counted = audited || is_nth(frame, settings.items_every);
                 let begun = clock.now();
                 let measured = audit::measure(&mut stage, &camera, &drawn, audited, counted)?;
-                if let Some(Measured { audit, hlods_with_pixels, front, stand_in_error_px }) = measured
+                if let Some(Measured { audit, hlods_with_pixels, front, stand_in_error_px }) =
+                    measured
                 {
                     (counts.audit, counts.hlods_with_pixels) = (audit, hlods_with_pixels);
                     (counts.front, counts.missing.error_px) = (front, stand_in_error_px);

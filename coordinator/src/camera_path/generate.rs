@@ -1,7 +1,7 @@
 //! Camera paths made for a scene.
 
 use super::grid::{Grid, MAX_CELLS};
-use super::{FOV_Y_DEG, Pose, voxels, walk};
+use super::{FOV_Y_DEG, Pose, voxels, walk, wander};
 use protocol::format::Skeleton;
 use protocol::id::BlobId;
 use rand::{Rng, SeedableRng, rngs::StdRng};
@@ -15,6 +15,8 @@ pub enum PathKind {
     Orbit,
     /// From far outside into the densest part.
     Zoom,
+    /// Through everything, walls included, turning, looking up and down.
+    Wander,
 }
 
 impl std::str::FromStr for PathKind {
@@ -25,7 +27,8 @@ impl std::str::FromStr for PathKind {
             "walk" => Ok(Self::Walk),
             "orbit" => Ok(Self::Orbit),
             "zoom" => Ok(Self::Zoom),
-            _ => Err(format!("no camera path {name}: walk, orbit or zoom")),
+            "wander" => Ok(Self::Wander),
+            _ => Err(format!("no camera path {name}: walk, orbit, zoom or wander")),
         }
     }
 }
@@ -66,7 +69,7 @@ const DENSITY_CELLS: usize = 8;
 /// Makes `frames` poses for a scene. `read_blob` gives a blob's bytes; only a walk asks for any.
 ///
 /// The same scene, kind and seed give the same path. A walk of more frames goes on where one of fewer
-/// ends; where a scene has no room to walk it becomes an orbit. Orbit and zoom divide their one
+/// ends, and so does one that wanders; where a scene has no room to walk it becomes an orbit. Orbit and zoom divide their one
 /// movement by the number of frames.
 ///
 /// # Errors
@@ -99,6 +102,7 @@ pub(super) fn generate_within<B: AsRef<[u8]>, E: std::error::Error + Send + Sync
     Ok(match kind {
         PathKind::Orbit => scene.orbit(frames, seed),
         PathKind::Zoom => scene.zoom(skeleton, frames, seed),
+        PathKind::Wander => wander::wander(skeleton, scene.up, scene.level, frames, seed),
         PathKind::Walk => {
             let mut grid = Grid::around(root.min, root.max, scene.up, max_cells);
             voxels::fill(&mut grid, skeleton, read_blob)?;

@@ -6,6 +6,7 @@ mod grid;
 mod route;
 mod voxels;
 mod walk;
+mod wander;
 
 pub use self::csv::{PathError, read_csv, write_csv};
 pub use generate::{GenerateError, PathKind, generate};

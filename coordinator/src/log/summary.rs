@@ -80,12 +80,20 @@ pub struct Culling {
     pub front: Option<f64>,
     /// Hlods on the front and in the frustum.
     pub in_frustum: f64,
-    /// Boxes tested.
+    /// Tests made: of boxes, those of second looks included, and of meshes by their own triangles.
+    pub tests: f64,
+    /// Of these, of boxes.
     pub queries: f64,
+    /// Hlods visible without a test, the eye being neither in their boxes nor by them.
+    pub untested: f64,
+    /// Hlods visible without a test, the eye being in their boxes or within a few near distances of them.
+    pub at_eye: f64,
     /// Found visible.
     pub visible: f64,
-    /// Mean of (hlods drawn / hlods with a visible pixel) over the frames with an item buffer; null
-    /// where there was none.
+    /// Hlods with a visible pixel, over the frames with an item buffer; null where there was none.
+    pub with_pixels: Option<f64>,
+    /// Hlods found visible over hlods with a visible pixel, both as sums over the frames with an item
+    /// buffer; null where there was none, or nothing was seen.
     pub efficiency: Option<f64>,
     /// Frames with an item buffer.
     pub efficiency_frames: usize,
@@ -380,22 +388,25 @@ fn worst(rows: &[FrameRow]) -> Vec<WorstFrame> {
 }
 
 fn culling(rows: &[FrameRow]) -> Culling {
-    let ratios: Vec<f64> = rows
-        .iter()
-        .filter_map(|row| {
-            Some(f64::from(row.visible) / f64::from(row.with_pixels.filter(|&seen| seen > 0)?))
-        })
-        .collect();
+    let counted = || rows.iter().filter_map(|row| Some((row.visible, row.with_pixels?)));
+    let (drawn, seen) = counted().fold((0.0, 0.0), |(drawn, seen), (visible, with_pixels)| {
+        (drawn + f64::from(visible), seen + f64::from(with_pixels))
+    });
+    let efficiency_frames = counted().count();
     let fronts: Vec<f64> = rows.iter().filter_map(|row| row.front.map(f64::from)).collect();
     let average =
         |figure: fn(&FrameRow) -> u32| mean(rows.iter().map(|row| f64::from(figure(row))));
     Culling {
         front: (!fronts.is_empty()).then(|| mean(fronts.iter().copied())),
         in_frustum: average(|row| row.in_frustum),
+        tests: average(|row| row.queries + row.mesh_queries),
         queries: average(|row| row.queries),
+        untested: average(|row| row.untested),
+        at_eye: average(|row| row.at_eye),
         visible: average(|row| row.visible),
-        efficiency: (!ratios.is_empty()).then(|| mean(ratios.iter().copied())),
-        efficiency_frames: ratios.len(),
+        with_pixels: (efficiency_frames > 0).then(|| seen / efficiency_frames as f64),
+        efficiency: (seen > 0.0).then(|| drawn / seen),
+        efficiency_frames,
     }
 }
 

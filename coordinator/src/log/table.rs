@@ -74,9 +74,13 @@ pub fn table(summary: &Summary) -> String {
     line(
         "hlods a frame",
         format!(
-            "{front}in frustum {:.0}, tested {:.0}, visible {:.0}; drawn / with a pixel {efficiency}",
-            c.in_frustum, c.queries, c.visible
+            "{front}in frustum {:.0}, tests {:.0}, visible {:.1}; drawn / with a pixel {efficiency}",
+            c.in_frustum, c.tests, c.visible
         ),
+    );
+    line(
+        "visible untested",
+        format!("{:.2} at the eye, {:.2} for other reasons", c.at_eye, c.untested),
     );
     let b = &s.bandwidth;
     line(

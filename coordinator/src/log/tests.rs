@@ -144,7 +144,12 @@ fn cull(frame: FrameIndex) -> CullCounts {
     CullCounts {
         in_frustum: 60,
         queries: 50,
-        visible: 30,
+        mesh_queries: 4,
+        triangles: 300,
+        at_eye: 2,
+        untested: 1,
+        // Not the same in every frame: a quotient of sums is no mean of quotients.
+        visible: 30 + 10 * (frame.0 % 4),
         source_triangles_in_frustum: 9000,
         leaving: frame.0,
         entering: 1,
@@ -258,7 +263,11 @@ fn the_summary_counts_what_was_measured_and_where() {
     assert_eq!((summary.frame_unmeasured_ms.mean, summary.unmeasured_frames), (10.0, 2));
     assert_eq!((summary.work_ms.p50, summary.measuring_ms.max), (8.0, 3.0));
     assert!(!summary.mixed);
-    assert_eq!((summary.culling.efficiency, summary.culling.efficiency_frames), (Some(1.5), 3));
+    let culling = &summary.culling;
+    // Frames 0, 2 and 4 have an item buffer: 30, 50 and 30 drawn, 20 seen in each.
+    assert_eq!((culling.efficiency, culling.efficiency_frames), (Some(110.0 / 60.0), 3));
+    assert_eq!((culling.tests, culling.queries, culling.with_pixels), (54.0, 50.0, Some(20.0)));
+    assert_eq!((culling.at_eye, culling.untested), (2.0, 1.0));
     let audit = &summary.audit;
     assert_eq!((audit.frames, audit.differing_frames, audit.differing_pixels), (3, 2, 6));
     assert_eq!((audit.unknown_pixels, audit.front_faults), (21, 1));

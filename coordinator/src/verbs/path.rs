@@ -16,8 +16,9 @@ pub(crate) struct Args {
     /// The path to write
     #[arg(short, long, value_name = "PATH.csv")]
     output: PathBuf,
-    /// walk: through free space; orbit: around; zoom: from far into the densest part
-    #[arg(long, default_value = "walk", value_parser = kind)]
+    /// walk: through free space; orbit: around; zoom: from far into the densest part; wander: through
+    /// everything, walls included, looking all around
+    #[arg(long, default_value = "walk")]
     kind: PathKind,
     /// Poses
     #[arg(long, default_value_t = 120, value_parser = clap::value_parser!(u32).range(1..))]
@@ -25,15 +26,6 @@ pub(crate) struct Args {
     /// Seed of the route
     #[arg(long, default_value_t = 1)]
     seed: u64,
-}
-
-fn kind(text: &str) -> Result<PathKind, String> {
-    match text {
-        "walk" => Ok(PathKind::Walk),
-        "orbit" => Ok(PathKind::Orbit),
-        "zoom" => Ok(PathKind::Zoom),
-        _ => Err("give walk, orbit or zoom".to_owned()),
-    }
 }
 
 pub(crate) fn run(args: Args) -> Result<(), Failure> {
