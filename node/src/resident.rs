@@ -112,8 +112,10 @@ impl Loader {
         &self.residency
     }
 
-    /// What was counted since the last call.
+    /// What was counted since the last call: a drawing, and what was taken in while the seat waited for it.
+    /// The next has a share of its own of what nobody waits for.
     pub(crate) fn take_counts(&mut self) -> IoCounts {
+        self.besides_left = BESIDES_BYTES;
         std::mem::take(&mut self.counts)
     }
 
@@ -121,7 +123,6 @@ impl Loader {
     /// younger than all before.
     pub(crate) fn begin_drawing(&mut self, backend: &mut dyn Backend) -> Result<(), RoleError> {
         self.now += 1;
-        self.besides_left = BESIDES_BYTES;
         self.note_peak(backend);
         self.stalled(|own| {
             while own.take_in_next(backend)? {}
