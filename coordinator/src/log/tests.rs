@@ -1,6 +1,7 @@
 //! Figures from a made-up run whose every number is known.
 
 use super::frames::{FrameRow, csv, rows};
+use super::stats::Stats;
 use super::summary::summarise;
 use super::{SceneFacts, report, table, trace};
 use crate::record::{ClockEstimate, NodeRecord, PhaseRecord, RunRecord};
