@@ -3,6 +3,7 @@
 //! runs against the same.
 
 use super::frames::{FrameRow, csv, rows};
+use super::stats::Stats;
 use super::summary::summarise;
 use super::{SceneFacts, report, table, trace};
 use crate::record::{ClockEstimate, NodeRecord, PhaseRecord, PictureRecord, RunRecord};

@@ -118,7 +118,7 @@ fn path(
     let read = |id: BlobId| Ok::<_, Infallible>(&bytes[id.index()]);
     let poses = generate_within(CELLS, kind, &skeleton, read, frames, seed).unwrap();
     assert_eq!(poses.len(), frames as usize);
-    let near = near_plane(skeleton);
+    let near = near_plane(&skeleton);
     assert_eq!(cameras(&poses, near).unwrap().len(), poses.len());
     poses
 }

@@ -7,7 +7,7 @@ use std::fmt::Write;
 fn house(at: DVec3) -> Vec<[DVec3; 3]> {
     let corner = |i: u32| {
         let pick = |bit: u32, length: f64| if i >> bit & 1 == 1 { length } else { 0.0 };
-        at + DVec3::new(pick(0, 9.123457), pick(1, 6.000001), pick(2, 3.141593))
+        at + DVec3::new(pick(0, 9.123457), pick(1, 6.000001), pick(2, 3.271593))
     };
     let faces =
         [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]];
