@@ -3,6 +3,7 @@
 #![allow(clippy::unwrap_used, reason = "a test stops where something is missing")]
 
 #[path = "../node/src/fixture.rs"]
+#[allow(dead_code, reason = "the tests of the node use the rest")]
 mod fixture;
 
 use coordinator::record::RunRecord;

@@ -211,7 +211,7 @@ pub(crate) fn write_with_stand_in(
         let vertices = Vertices::Plain(&vertices);
         let blob = writer.add_blob([0.0; 3], 1.0, vertices, &indices, classes).unwrap().0;
         let error = if place == 0 { error } else { 0.0 };
-        let longest_edge = longest_edge(piece);
+        let longest_edge = longest_edge(&piece);
         levels.push(Level { error, first_part: place, part_count: 1, triangles, longest_edge });
         parts.push(Part { blob, transform: place });
         transforms.push(placement(piece.solid));

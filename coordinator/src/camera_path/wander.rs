@@ -58,24 +58,34 @@ pub(super) fn wander(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use bytemuck::Zeroable;
-    use protocol::format::SceneInfo;
+    use protocol::format::{NONE, SceneInfo};
 
     const UP: [f64; 3] = [0.0, 0.0, 1.0];
     const LEVEL: [[f64; 3]; 2] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]];
 
     /// A root over 63 leaves of side 1 along x, and one far away.
     fn row(stray: f64) -> Skeleton {
-        let leaf = |x: f64| Hlod { min: [x, 0.0, 0.0], max: [x + 1.0, 1.0, 1.0], ..Hlod::zeroed() };
+        let leaf = |x: f64| Hlod {
+            min: [x, 0.0, 0.0],
+            max: [x + 1.0, 1.0, 1.0],
+            parent: 0,
+            first_child: 1,
+            child_count: 0,
+            first_level: 0,
+            level_count: 0,
+            object: NONE,
+            source_triangles: 1,
+        };
         let root = Hlod { child_count: 64, ..leaf(0.0) };
         let leaves = (0..63).map(|i| leaf(f64::from(i) * 2.0)).chain([leaf(stray)]);
         Skeleton {
-            info: SceneInfo::zeroed(),
+            info: SceneInfo::default(),
             hlods: std::iter::once(root).chain(leaves).collect(),
             levels: vec![],
             parts: vec![],
             blobs: vec![],
             transforms: vec![],
+            texture_lists: vec![],
             textures: vec![],
             view_cells: vec![],
             cubes: vec![],

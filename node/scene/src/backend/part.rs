@@ -95,7 +95,7 @@ mod tests {
     }
 
     fn occluders(width: u32, part: Part) -> Pass {
-        Pass::Occluders { view: view(width), draws: vec![], part }
+        Pass::Occluders { view: view(width), draws: vec![], adds: false, part }
     }
 
     fn boxes() -> Pass {

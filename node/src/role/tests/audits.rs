@@ -39,7 +39,8 @@ fn audited(there: &[u32], visible: &[u32]) -> (Audit, u32) {
     // An earlier drawing had them.
     stage.begin_drawing().unwrap();
     let whole = Composition { cell: None, weight: WHOLE };
-    let pass = |view, draws: Draws, part| Pass::Occluders { view, draws: draws.solid, part };
+    let pass =
+        |view, draws: Draws, part| Pass::Occluders { view, draws: draws.solid, adds: false, part };
     stage.draw(&whole, &camera, &levels, Promise::Exact, pass).unwrap();
 
     let visible = VisibleSet::from_sorted(visible.iter().copied().map(HlodId).collect());
@@ -51,7 +52,7 @@ fn audited(there: &[u32], visible: &[u32]) -> (Audit, u32) {
     // So the next frames are the ones there would have been without it.
     assert_eq!(*stage.loader.residency(), before, "an audit counts as use, or makes room");
     assert_eq!(IoCounts { hits: 0, ..stage.take_io() }, IoCounts::default(), "an audit reads");
-    (measured.audit.unwrap(), drawn.counts.missing.replaced)
+    (measured.unwrap().audit.unwrap(), drawn.counts.missing.replaced)
 }
 
 #[test]
@@ -94,7 +95,7 @@ fn audited_front(
 
     let visible = VisibleSet::from_sorted(ids);
     let drawn = render_visible_geometry::run(&mut stage, &camera, &visible, true).unwrap();
-    measure(&mut stage, &camera, &drawn, true, false).unwrap().audit.unwrap()
+    measure(&mut stage, &camera, &drawn, true, false).unwrap().unwrap().audit.unwrap()
 }
 
 /// What the frustum holds of the whole cut, with one of its planes turned round if asked for.
