@@ -1,6 +1,6 @@
 //! Culling on and off give the same bits, frame by frame, wherever the camera stands.
 //!
-//! The whole walks, orbits and zooms over all scenes, in release: `cargo test --release --test
+//! The whole walks, orbits, zooms and rough paths over all scenes, in release: `cargo test --release --test
 //! no_pixel_lost -- --ignored`.
 
 #![allow(clippy::unwrap_used, reason = "a test stops where something is missing")]
@@ -9,7 +9,7 @@ mod support;
 
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
-use support::{REAL_SCENES, Run, Scene, backends, real_scene, text};
+use support::{REAL_SCENES, Run, Scene, backends, real_scene, rough_path, text};
 
 const KINDS: [&str; 3] = ["walk", "orbit", "zoom"];
 
@@ -111,8 +111,8 @@ fn real_scenes_keep_every_pixel() {
 fn whole_walks_orbits_and_zooms_keep_every_pixel() {
     let generated =
         [("plant", 1_000_000), ("pipes", 1_000_000)].map(|(kind, n)| (kind, Scene::synth(kind, n)));
-    let real =
-        REAL_SCENES.into_iter().filter_map(|name| Some((name, Scene::bake(&real_scene(name)?))));
+    let real = REAL_SCENES.into_iter().chain(["hall_long_parts"]);
+    let real = real.filter_map(|name| Some((name, Scene::bake(&real_scene(name)?))));
     for (name, scene) in generated.into_iter().chain(real) {
         for backend in backends() {
             let [walk, orbit, zoom] = KINDS.map(|kind| scene.path(kind, 120));
@@ -123,7 +123,11 @@ fn whole_walks_orbits_and_zooms_keep_every_pixel() {
                 (zoom, "320x200", "queries"),
                 (jumps(&scene, 30), "101x333", "boxes"),
             ];
-            for (path, size, cull) in runs {
+            let rough = [11, 12].map(|seed| {
+                let made = || scene.path_by_seed("wander", 120, seed);
+                (rough_path(name, seed).unwrap_or_else(made), "320x200", "queries")
+            });
+            for (path, size, cull) in runs.into_iter().chain(rough) {
                 let run = audited(&scene, backend, &path, size, cull);
                 let (visible, frustum) =
                     (run.number("/culling/visible"), run.number("/culling/in_frustum"));

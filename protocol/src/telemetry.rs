@@ -37,7 +37,7 @@ pub struct CullCounts {
     pub queries: u32,
     /// Meshes tested by their own triangles.
     pub mesh_queries: u32,
-    /// Triangles drawn as further occluders, in a second look.
+    /// Triangles drawn as further occluders, in a second look, and to be tested themselves.
     pub triangles: u64,
     /// Visible without a test: the box holds the eye or lies within a few near distances of it.
     pub at_eye: u32,

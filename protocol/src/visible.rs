@@ -27,11 +27,6 @@ impl VisibleSet {
         Self { ids }
     }
 
-    /// The root alone, which stands for all below it: what counts as seen before the first frame.
-    pub fn whole_scene() -> Self {
-        Self { ids: vec![HlodId(0)] }
-    }
-
     /// The ids, sorted.
     pub fn ids(&self) -> &[HlodId] {
         &self.ids

@@ -206,6 +206,13 @@ pub(crate) fn real_scene(name: &str) -> Option<PathBuf> {
     Some(path)
 }
 
+/// A path through everything in a real scene, or none where it is not there.
+pub(crate) fn rough_path(name: &str, seed: u32) -> Option<PathBuf> {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/scenes/paths");
+    let path = folder.join(format!("{name}-{seed}.csv"));
+    path.exists().then_some(path)
+}
+
 /// The five real scenes.
 pub(crate) const REAL_SCENES: [&str; 5] = [
     "indoor_schependomlaan",

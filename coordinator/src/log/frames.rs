@@ -81,8 +81,8 @@ pub struct FrameRow {
     pub queries: u32,
     /// Hlods tested by their own triangles.
     pub mesh_queries: u32,
-    /// Triangles that HC drew as further occluders.
-    pub triangles_second_look: u64,
+    /// Triangles that HC drew, as further occluders and to be tested themselves.
+    pub triangles_hc: u64,
     /// Hlods visible without a test: the box holds the eye or lies within a few near distances of it.
     pub at_eye: u32,
     /// Hlods visible without a test for any other reason.
@@ -311,7 +311,7 @@ fn fill_counts(row: &mut FrameRow, cull: &CullCounts, draw: &DrawCounts, or: Opt
     row.front = draw.front;
     row.in_frustum = cull.in_frustum;
     row.queries = cull.queries;
-    (row.mesh_queries, row.triangles_second_look) = (cull.mesh_queries, cull.triangles);
+    (row.mesh_queries, row.triangles_hc) = (cull.mesh_queries, cull.triangles);
     (row.at_eye, row.untested) = (cull.at_eye, cull.untested);
     row.visible = cull.visible;
     row.with_pixels = draw.hlods_with_pixels;

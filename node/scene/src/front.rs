@@ -39,6 +39,11 @@ pub fn box_from_eye(hlod: &Hlod, eye: [f64; 3]) -> Aabb {
     Aabb { min: DVec3::from_array(hlod.min) - eye, max: DVec3::from_array(hlod.max) - eye }
 }
 
+/// Distance from `eye` to the box of `hlod`, scene units; 0 within.
+pub fn distance_from_eye(hlod: &Hlod, eye: [f64; 3]) -> f64 {
+    box_from_eye(hlod, eye).distance(DVec3::ZERO)
+}
+
 /// Which part of the scene a front is made of.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Field<'a> {

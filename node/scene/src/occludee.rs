@@ -50,7 +50,9 @@
 //! `distance(B) / s_k`. And it has a point in `B'`, so no point of it is nearer than
 //! `distance(B') / s - l`, `l` being the longest edge of the hlod's levels, which the scene file holds. The greatest of
 //! these bounds counts. For the triangles of the box it is the first two, of the box itself. `n` is the
-//! picture's width and height together, times `k` where `B` reaches beyond `P`.
+//! picture's width and height together, times `k` where `B` reaches beyond `P`; and of a box no more than what its corners
+//! span, and of a triangle than what its edges can: two of its points, one of which lies in the picture, are seen
+//! `l / w0 (1 + t)` apart at depth 1 at most, `t` being the tangent of the other, which exceeds the picture's by no more than that.
 //!
 //! # Steep triangles
 //!
@@ -94,8 +96,9 @@
 //! the pixel is covered. That a face is clipped at the near plane takes nothing of it out of the picture where
 //! `distance / s` of the box exceeds the near distance.
 //!
-//! The bound is taken over the *grown* box: with `f1` and `g1` from `B'` itself, and `f2` and `g2` from the box for
-//! `2 f1` and `2 g1`, the box for `f2` and `g2` lies within that if they are at most `2 f1` and `2 g1`. Else, and
+//! The bound is taken over the *grown* box: some `f` and `g` are assumed, at first twice those of `B'` itself, and those of the
+//! box grown by them are found. If they are not more, the box grown by what was found lies within the one it was found
+//! for, and bears it. If they are, twice that is assumed, a few times. Where that does not end, and
 //! wherever the grown box holds the eye or reaches as near to it as the near plane does in the picture's corner,
 //! the hlod counts as visible.
 
@@ -125,6 +128,8 @@ const DIFFERENCE: f64 = 1.0 / (1u64 << 50) as f64;
 const NEAR: f64 = 1.0 / (1u64 << 10) as f64;
 /// Most that a box may be shrunk towards the eye by, a share of its distance, so that something is left to ask.
 const MOST_SHRUNK: f64 = 0.5;
+/// Times that a displacement is assumed and held against what it makes of the box.
+const MOST_ROUNDS: usize = 4;
 /// A box this many near distances from the eye, in the picture's corner, counts as being at the eye.
 const NEAR_DISTANCES_AT_EYE: f64 = 4.0;
 
@@ -263,7 +268,8 @@ impl BoxTests {
     /// The test for `hlod`, no level of which has an edge longer than `longest_edge`, scene units.
     pub fn test(&self, hlod: &Hlod, longest_edge: f64) -> BoxTest {
         let whole = box_from_eye(hlod, self.eye);
-        if farthest(&whole).is_nan() || farthest(&whole) > f64::from(f32::MAX) {
+        let is_finite = whole.min.is_finite() && whole.max.is_finite();
+        if !is_finite || farthest(&whole) > f64::from(f32::MAX) {
             return BoxTest::Unproven;
         }
         let transform = self.transform(hlod, &whole);
@@ -276,9 +282,12 @@ impl BoxTests {
             None => whole,
         };
 
-        let displaced = match self.rules.grow {
-            true => self.displacement(&whole, &part, transform, longest_edge),
-            false => Some(Displacement::NONE),
+        let displaced = match self.rules {
+            Rules { grow: false, .. } => Some(Displacement::NONE),
+            Rules { near_rule: false, .. } if part.distance(DVec3::ZERO) == 0.0 => {
+                Some(Displacement::NONE)
+            }
+            _ => self.displacement(&whole, &part, transform, longest_edge),
         };
         let Some(grown) = displaced.map(|displaced| displaced.of(&part)) else {
             return self.untested(&whole);
@@ -319,7 +328,7 @@ impl BoxTests {
         TRANSFORM * (farthest(whole) + 4.0 * whole.diagonal()) + difference
     }
 
-    /// What geometry in `part` of the box `whole` is displaced by against a box around it; none where growing by
+    /// What geometry in `part` of the box `whole` is displaced by against a box around it; `None` where growing by
     /// it spoils the bound. `transform` is item 2.
     fn displacement(
         &self,
@@ -328,30 +337,65 @@ impl BoxTests {
         transform: f64,
         longest_edge: f64,
     ) -> Option<Displacement> {
-        let reach_px =
-            self.picture_px * if part == whole { 1.0 } else { self.precision.guard_band };
-        let of_geometry = self.depth_error(
-            self.least_depth(whole)
-                .max(part.distance(DVec3::ZERO) / self.corner_ray - longest_edge),
-            self.depths(whole).1,
-            reach_px,
-        );
+        let by_edge = part.distance(DVec3::ZERO) / self.corner_ray - longest_edge;
+        let reach_px = match part == whole {
+            true => self.picture_px,
+            false => self.edge_px(longest_edge, by_edge).min(self.guarded_px()),
+        };
+        let w0 = self.least_depth(whole).max(by_edge);
+        let of_geometry = self.depth_error(w0, self.depths(whole).1, reach_px);
 
         let of = |asked: &Aabb| {
             let (_, w1) = self.depths(asked);
-            let of_box = self.depth_error(self.least_depth(asked), w1, reach_px);
+            let of_box = self.depth_error(self.least_depth(asked), w1, self.box_px(asked));
             Displacement {
                 anyhow: SNAPPING_PX * self.pixel * w1 + transform,
                 towards_eye: 2.0 * self.precision.of_depth + w1 * (of_geometry + of_box),
             }
         };
 
-        let first = of(part).doubled();
-        if first.towards_eye > MOST_SHRUNK {
-            return None;
+        let mut assumed = of(part).doubled();
+        for _ in 0..MOST_ROUNDS {
+            if assumed.towards_eye > MOST_SHRUNK {
+                return None;
+            }
+            let found = of(&assumed.of(part));
+            if found.is_within(assumed) {
+                return Some(found);
+            }
+            assumed = found.doubled();
         }
-        let second = of(&first.of(part));
-        second.is_within(first).then_some(second)
+        None
+    }
+
+    /// Most pixels, across and down together, that anything reaches over which is rasterised.
+    fn guarded_px(&self) -> f64 {
+        self.picture_px * self.precision.guard_band
+    }
+
+    /// The same of a triangle with a point in the picture, no edge longer than `edge`, and no point nearer than `w0`.
+    fn edge_px(&self, edge: f64, w0: f64) -> f64 {
+        if w0 <= self.near {
+            return f64::INFINITY;
+        }
+        let spread = edge / w0;
+        2.0 * spread * (1.0 + self.corner_ray) * (1.0 + spread) / self.pixel
+    }
+
+    /// The same of the faces of a box.
+    fn box_px(&self, b: &Aabb) -> f64 {
+        if self.depths(b).0 <= self.near {
+            return self.guarded_px();
+        }
+        let corners = (0..8).map(|bits| {
+            let corner = |k: usize| if bits >> k & 1 == 0 { b.min[k] } else { b.max[k] };
+            DVec3::new(corner(0), corner(1), corner(2))
+        });
+        let seen = Aabb::of(corners.map(|corner| {
+            let place = DVec3::new(self.basis.right.dot(corner), self.basis.up.dot(corner), 0.0);
+            place / self.forward.dot(corner)
+        }));
+        (seen.extent().element_sum() / self.pixel).min(self.guarded_px())
     }
 
     /// Least depth of what is rasterised of triangles in `b`.

@@ -197,7 +197,7 @@ mod tests {
         let scene = RandomScene::new(1, 2, 16.0);
         let mut forecaster = Forecaster::new(Arc::new(scene.skeleton), Arc::default(), SIZE, 1.0);
         assert!(forecaster.next_levels().is_none());
-        let visible = Arc::new(VisibleSet::whole_scene());
+        let visible = Arc::new(VisibleSet::from_sorted(vec![HlodId(0)]));
         forecaster.begin(Outlook { drawn: None, ahead: vec![], visible });
         assert!(forecaster.next_levels().is_none());
     }

@@ -1,25 +1,36 @@
 //! HC(i): V_i, the part of the front F_i that passes against the depth of OR(i) (Manocha, sections 4.2 and
 //! 4.4).
 //!
-//! The boxes of the front are tested. Where much of what passes is no part of that depth, since the view has changed
-//! or has come out of a wall, a **second look** draws that part to the depth and tests again all that has
-//! passed; what no box can tell of (`scene::occludee`) is tested by its own triangles. Both rest on the same
-//! proof: whatever of the frame's own front is drawn may hide.
+//! 1. The boxes of the front are tested.
+//! 2. Where much of what passes is no part of that depth, since the view has changed, has come out of a wall, or is
+//!    the first, a **second look** draws that part to the depth, the nearest first, and tests what is left, until
+//!    all that passes has been drawn.
+//! 3. What no box can tell of (`scene::occludee`) is tested by its own triangles. So is a share of the rest, in turn,
+//!    for a box may show where what is in it does not; and what was found hidden so, as long as its box passes.
+//!
+//! All rests on the same proof: whatever of the frame's own front is drawn may hide.
 
 use super::{RoleError, Stage};
-use crate::resident::Needs;
+use crate::resident::{Drawn, Needs};
 use protocol::camera::Camera;
 use protocol::id::HlodId;
-use protocol::settings::{Cull, Residency as Promise};
+use protocol::settings::Cull;
 use protocol::telemetry::CullCounts;
-use scene::backend::{BoxQuery, Completion, Draw, Draws, Pass};
+use scene::backend::{Backend, BoxQuery, Completion, Draw, Draws, Pass};
 use scene::draw_list::draw_list;
-use scene::front::FrontEntry;
+use scene::front::{FrontEntry, distance_from_eye};
 use scene::occludee::{BoxTest, BoxTests};
+use std::collections::{BTreeMap, BTreeSet};
 
-/// A second look is taken where more than one of so many that pass are no occluders, or were not tested: so the
-/// want of occluders adds no more than this share to what is drawn.
+/// A second look is taken where more than one of so many that pass are no occluders: so the want of occluders adds
+/// no more than this share to what is drawn.
 const SECOND_LOOK: usize = 8;
+/// Occluders that a second look draws before it tests again; then twice as many, and so on.
+const FIRST_DRAWN: usize = 32;
+/// Every hlod that passes is tested by its triangles once in so many frames that are culled here.
+const TURNS: u32 = 8;
+/// What has a box and is tested by its triangles all the same has this share at most of the triangles that pass.
+const SHARE_OF_TRIANGLES: u64 = 8;
 
 /// What HC(i) has found.
 pub(crate) struct Culled {
@@ -40,8 +51,12 @@ pub(crate) fn run(stage: &mut Stage<'_>, camera: &Camera) -> Result<Culled, Role
 
     let mut passed = candidates(stage, camera, &front.entries);
     if stage.settings.cull != Cull::Off {
-        retain_passing(stage, camera, &mut passed, &mut counts)?;
+        // Against nothing all pass.
+        if !stage.occluders.is_empty() {
+            retain_passing(stage, camera, &mut passed, |_| true, &mut counts)?;
+        }
         second_look(stage, camera, &mut passed, &mut counts)?;
+        test_by_triangles(stage, camera, &mut passed, &mut counts)?;
     }
 
     let untested = |reason| passed.iter().filter(|one| one.test == reason).count() as u32;
@@ -63,11 +78,11 @@ struct Candidate {
 enum Test {
     /// Its box.
     Box(BoxQuery),
-    /// Its triangles, the eye being in its box or by it.
+    /// Its triangles alone, the eye being in its box or by it.
     AtEye,
-    /// Its triangles, for another reason.
+    /// Its triangles alone, for another reason.
     Unproven,
-    /// Its triangles have passed.
+    /// Nothing: its triangles have passed.
     Passed,
 }
 
@@ -92,53 +107,72 @@ fn candidates(stage: &Stage<'_>, camera: &Camera, entries: &[FrontEntry]) -> Vec
     entries.iter().filter_map(candidate).collect()
 }
 
-/// Leaves out what has a box that does not pass against the depth there is.
+/// Leaves out what `is_asked` of what has a box, and does not pass against the depth there is.
 fn retain_passing(
     stage: &mut Stage<'_>,
     camera: &Camera,
     candidates: &mut Vec<Candidate>,
+    is_asked: impl Fn(&Candidate) -> bool,
     counts: &mut CullCounts,
 ) -> Result<(), RoleError> {
     let query = |one: &Candidate| match one.test {
-        Test::Box(query) => Some(query),
+        Test::Box(query) if is_asked(one) => Some(query),
         _ => None,
     };
     let boxes: Vec<BoxQuery> = candidates.iter().filter_map(query).collect();
     counts.queries += boxes.len() as u32;
 
     let (view, method) = (stage.view(camera), stage.settings.cull);
-    let answers = answers(stage, Pass::QueryBoxes { view, boxes, method })?;
-    let mut answers = answers.into_iter();
-    candidates.retain(|one| {
-        let is_tested = matches!(one.test, Test::Box(_));
-        !is_tested || answers.next().expect("an answer for each box")
-    });
+    stage.backend.submit(Pass::QueryBoxes { view, boxes, method })?;
+    let mut answers = answers(stage)?.into_iter();
+    candidates
+        .retain(|one| query(one).is_none() || answers.next().expect("an answer for each box"));
     Ok(())
 }
 
-/// Draws what has passed and is no occluder yet, and tests again.
+/// Draws what has passed and is no occluder yet, the nearest first, and tests again what is left.
 fn second_look(
     stage: &mut Stage<'_>,
     camera: &Camera,
     passed: &mut Vec<Candidate>,
     counts: &mut CullCounts,
 ) -> Result<(), RoleError> {
-    let is_drawn = |one: &Candidate| stage.occluders.binary_search(&one.entry.hlod).is_ok();
-    let is_tested = |one: &Candidate| matches!(one.test, Test::Box(_));
-    let unsettled = passed.iter().filter(|one| !is_drawn(one) || !is_tested(one)).count();
-    if unsettled * SECOND_LOOK <= passed.len() {
+    let mut drawn: BTreeSet<HlodId> = stage.occluders.iter().copied().collect();
+    let fresh = passed.iter().filter(|one| !drawn.contains(&one.entry.hlod)).count();
+    if fresh * SECOND_LOOK <= passed.len() {
         return Ok(());
     }
 
     // What hides must be drawn in every picture that is mixed into the one.
     let cells = stage.cells();
     let mixed = cells.compositions(camera.eye);
-    let hides = |one: &&Candidate| mixed.iter().all(|of| of.has(one.entry.hlod)) && !is_drawn(one);
-    let fresh: Vec<FrontEntry> = passed.iter().filter(hides).map(|one| one.entry).collect();
-    add_occluders(stage, camera, fresh, counts)?;
+    let may_hide = |hlod| mixed.iter().all(|of| of.has(hlod));
 
-    retain_passing(stage, camera, passed, counts)?;
-    test_by_triangles(stage, camera, passed, counts)
+    stage.begin_drawing()?;
+    let mut most = FIRST_DRAWN;
+    loop {
+        let distance =
+            |entry: &FrontEntry| distance_from_eye(stage.skeleton.hlod(entry.hlod), camera.eye);
+        let entries = passed.iter().map(|one| one.entry);
+        let mut fresh: Vec<(f64, FrontEntry)> = entries
+            .filter(|entry| may_hide(entry.hlod) && !drawn.contains(&entry.hlod))
+            .map(|entry| (distance(&entry), entry))
+            .collect();
+        if fresh.is_empty() {
+            break;
+        }
+        fresh.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.hlod.cmp(&b.1.hlod)));
+        fresh.truncate(most);
+        most *= 2;
+
+        drawn.extend(fresh.iter().map(|(_, entry)| entry.hlod));
+        add_occluders(stage, camera, fresh.into_iter().map(|(_, entry)| entry).collect(), counts)?;
+        let is_left = |one: &Candidate| !drawn.contains(&one.entry.hlod);
+        retain_passing(stage, camera, passed, is_left, counts)?;
+    }
+
+    // What was drawn early may be hidden by what was drawn late.
+    retain_passing(stage, camera, passed, |_| true, counts)
 }
 
 /// Draws more occluders; what is not there is left out.
@@ -148,7 +182,6 @@ fn add_occluders(
     mut fresh: Vec<FrontEntry>,
     counts: &mut CullCounts,
 ) -> Result<(), RoleError> {
-    stage.begin_drawing()?;
     let promise = stage.settings.residency;
     loop {
         fresh.retain(|entry| stage.loader.offers_level(entry.level, promise, Needs::Shape));
@@ -168,33 +201,100 @@ fn add_occluders(
     }
 }
 
-/// Leaves out what no box can tell of and none of whose triangles passes, of all that is there.
+/// Leaves out those of what passes whose turn it is, or of which no box can tell, and none of whose triangles passes.
 fn test_by_triangles(
     stage: &mut Stage<'_>,
     camera: &Camera,
     passed: &mut Vec<Candidate>,
     counts: &mut CullCounts,
 ) -> Result<(), RoleError> {
-    let is_asked = |one: &Candidate| {
-        matches!(one.test, Test::AtEye | Test::Unproven)
-            && stage.loader.offers_level(one.entry.level, Promise::Deadline, Needs::Shape)
-    };
-    let asked: Vec<FrontEntry> =
-        passed.iter().filter(|one| is_asked(one)).map(|one| one.entry).collect();
-    let draws = by_item(draw_list(&stage.skeleton, &asked, camera.eye));
+    stage.turn = stage.turn.wrapping_add(1);
+    let asked = asked(stage, passed);
+    if asked.is_empty() {
+        return Ok(());
+    }
     counts.mesh_queries += asked.len() as u32;
+    counts.triangles += stage.triangles(&asked);
 
-    let view = stage.view(camera);
-    let answers = answers(stage, Pass::QueryMeshes { view, draws })?;
-    let mut answers = asked.iter().zip(answers).peekable();
-    passed.retain_mut(|one| match answers.next_if(|(entry, _)| **entry == one.entry) {
-        Some((_, passes)) => {
-            one.test = Test::Passed;
-            passes
+    let shows = items_that_pass(stage, camera, &asked)?;
+    let mut asked = asked.iter().peekable();
+    passed.retain_mut(|one| {
+        if asked.next_if(|entry| **entry == one.entry).is_none() {
+            return true;
         }
-        None => true,
+        let id = one.entry.hlod;
+        let Some(&passes) = shows.get(&id) else { return true };
+        one.test = Test::Passed;
+        match passes {
+            true => stage.hidden.remove(&id),
+            false => stage.hidden.insert(id),
+        };
+        passes
     });
     Ok(())
+}
+
+/// What of `passed` is tested by its triangles, in the same order.
+fn asked(stage: &Stage<'_>, passed: &[Candidate]) -> Vec<FrontEntry> {
+    // With a deadline what is not there is not waited for.
+    let promise = stage.settings.residency;
+    let offered = passed
+        .iter()
+        .filter(|one| stage.loader.offers_level(one.entry.level, promise, Needs::Shape));
+    let (with_boxes, mut asked): (Vec<&Candidate>, Vec<&Candidate>) =
+        offered.partition(|one| matches!(one.test, Test::Box(_)));
+
+    // Of those that have a box the cheapest: so most hlods are found hidden for least.
+    let triangles = |one: &Candidate| stage.triangles(&[one.entry]);
+    let mut left = passed.iter().map(triangles).sum::<u64>() / SHARE_OF_TRIANGLES;
+    let is_due = |one: &&&Candidate| {
+        let id = one.entry.hlod;
+        id.0.wrapping_add(stage.turn).is_multiple_of(TURNS) || stage.hidden.contains(&id)
+    };
+    let mut due: Vec<&Candidate> = with_boxes.iter().filter(is_due).copied().collect();
+    due.sort_by_key(|one| (triangles(one), one.entry.hlod));
+    asked.extend(due.into_iter().take_while(|one| {
+        let cost = triangles(one);
+        let fits = cost <= left;
+        left = left.saturating_sub(cost);
+        fits
+    }));
+
+    let mut asked: Vec<FrontEntry> = asked.into_iter().map(|one| one.entry).collect();
+    asked.sort_by_key(|entry| entry.hlod);
+    asked
+}
+
+/// Whether a triangle of these passes, by hlod; of one that turns out to be unreadable nothing is said.
+fn items_that_pass(
+    stage: &mut Stage<'_>,
+    camera: &Camera,
+    asked: &[FrontEntry],
+) -> Result<BTreeMap<HlodId, bool>, RoleError> {
+    let view = stage.view(camera);
+    let draws = draw_list(&stage.skeleton, asked, camera.eye);
+    let mut submitted: Vec<Vec<HlodId>> = Vec::new();
+    let submit = |backend: &mut dyn Backend, draws: Draws, _| {
+        let draws = by_item(draws);
+        if !draws.is_empty() {
+            submitted.push(draws.chunk_by(|a, b| a.item == b.item).map(|of| of[0].item).collect());
+            backend.submit(Pass::QueryMeshes { view, draws })?;
+        }
+        Ok(())
+    };
+    let outcome = stage.loader.stream(stage.backend.as_mut(), &draws, Needs::Shape, submit)?;
+
+    // A list that does not fit at once is asked in parts, and so may one hlod be.
+    let mut shows: BTreeMap<HlodId, bool> = BTreeMap::new();
+    for items in submitted {
+        for (item, passes) in items.into_iter().zip(answers(stage)?) {
+            *shows.entry(item).or_default() |= passes;
+        }
+    }
+    if outcome == Drawn::Lost {
+        shows.retain(|_, passes| *passes);
+    }
+    Ok(shows)
 }
 
 /// Every draw once, those of an item side by side, items in order.
@@ -204,21 +304,20 @@ fn by_item(Draws { solid, blending }: Draws) -> Vec<Draw> {
     draws
 }
 
-/// The answers of a pass that tests, in order.
-fn answers(stage: &mut Stage<'_>, pass: Pass) -> Result<Vec<bool>, RoleError> {
-    let submitted = stage.backend.submit(pass)?;
-    let (mut answers, mut completions) = (Vec::new(), Vec::new());
+/// The answers of the first pass that is not answered, in order.
+fn answers(stage: &mut Stage<'_>) -> Result<Vec<bool>, RoleError> {
+    let mut answers = Vec::new();
     loop {
-        stage.backend.poll(&mut completions)?;
-        for completion in completions.drain(..) {
-            let Completion::Boxes { ticket, first, visible, last } = completion else {
-                unreachable!("what is tested answers as such")
-            };
-            assert_eq!((ticket, first), (submitted, answers.len()), "answers come in order");
-            answers.extend(visible);
-            if last {
-                return Ok(answers);
-            }
+        if stage.completions.is_empty() {
+            stage.backend.poll(&mut stage.completions)?;
+        }
+        let Completion::Boxes { first, visible, last, .. } = stage.completions.remove(0) else {
+            unreachable!("what is tested answers as such")
+        };
+        assert_eq!(first, answers.len(), "answers come in order");
+        answers.extend(visible);
+        if last {
+            return Ok(answers);
         }
     }
 }

@@ -22,6 +22,7 @@ use scene::front::{Front, FrontEntry, front_of, whole_cut};
 use scene::occludee::Rules;
 use scene::stand_in::{Available, available};
 use scene::view_cells::{Cells, Composition};
+use std::collections::BTreeSet;
 use std::sync::Arc;
 
 /// Why a role cannot do its work.
@@ -69,6 +70,12 @@ pub(crate) struct Stage<'a> {
     front: Option<(Camera, Arc<Front>)>,
     /// Whose depth there is, of the last front made, sorted.
     occluders: Vec<HlodId>,
+    /// Hlods whose boxes passed when their triangles last did not.
+    hidden: BTreeSet<HlodId>,
+    /// Frames culled here.
+    turn: u32,
+    /// Of passes that test, not looked at yet.
+    completions: Vec<Completion>,
 }
 
 impl<'a> Stage<'a> {
@@ -89,6 +96,9 @@ impl<'a> Stage<'a> {
             rules: Rules::default(),
             front: None,
             occluders: Vec::new(),
+            hidden: BTreeSet::new(),
+            turn: 0,
+            completions: Vec::new(),
         }
     }
 

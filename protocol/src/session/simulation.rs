@@ -416,7 +416,7 @@ impl Simulation {
             Output::Occlude { frame, camera, occluders } => {
                 assert_eq!(camera, self.cameras[frame.index()]);
                 let expected = frame.index().checked_sub(1).map(|before| &self.expected[before]);
-                assert_eq!(*occluders, expected.cloned().unwrap_or_else(VisibleSet::whole_scene));
+                assert_eq!(*occluders, expected.cloned().unwrap_or_default());
                 self.later(delay, Event::Work(i, Work::Occluded(frame)));
             }
             Output::Cull { frame, camera } => {

@@ -123,7 +123,7 @@ fn no_visible_pixel_is_lost() {
     let sum = cull_many(&Rules::default());
     assert_eq!((sum.lost, sum.differing_pixels), (0, 0), "{sum:?}");
     assert!(sum.culled > 1000 && sum.tested > 2 * sum.culled, "{sum:?}");
-    assert!(sum.unproven == 0 && sum.outside > 100, "{sum:?}");
+    assert!(sum.unproven * 20 < sum.tested && sum.outside > 50, "{sum:?}");
 }
 
 #[test]
@@ -177,16 +177,16 @@ fn boxes_that_prove_nothing_are_visible() {
 fn what_runs_past_the_eye_is_asked_where_the_picture_shows_it() {
     // A wall to the right, a floor and a bar, all from far behind the eye to far ahead.
     let long = [
-        hlod([1.0, -2.0, -50.0], [1.5, 5.0, 50.0]),
-        hlod([-30.0, -3.0, -50.0], [30.0, -2.0, 50.0]),
-        hlod([0.8, -0.9, -50.0], [0.9, -0.8, 50.0]),
+        hlod([3.0, -2.0, -50.0], [3.5, 5.0, 50.0]),
+        hlod([-30.0, -4.0, -50.0], [30.0, -3.0, 50.0]),
+        hlod([2.5, -2.6, -50.0], [2.6, -2.5, 50.0]),
     ];
     for precision in [SOFTWARE, Precision::f64(1000.0)] {
         for hlod in &long {
             let BoxTest::Query(query) = ahead(precision).test(hlod, 100.0) else {
                 panic!("{hlod:?}");
             };
-            assert!(query.min[2] > 0.4 && query.max[2] >= 50.0, "{query:?}");
+            assert!(query.min[2] > 1.0 && query.max[2] >= 50.0, "{query:?}");
         }
     }
     // Where a driver may rasterise a triangle from the near plane on, its depth says little far away.
@@ -282,7 +282,7 @@ fn no_triangle_that_is_shown_begins_nearer_than_its_least_depth() {
     let mut rng = StdRng::seed_from_u64(22);
     let tests = ahead(SOFTWARE);
     // With the derivation's bounds, without the guard band's corner, and without the longest edge.
-    let mut nearer = [0; 3];
+    let (mut nearer, mut reached) = ([0; 3], 0);
     for _ in 0..200_000 {
         let point = shown(&tests, &mut rng, 0.6..8.0);
         let length = 10f64.powf(rng.random_range(-1.0..1.5));
@@ -309,8 +309,17 @@ fn no_triangle_that_is_shown_begins_nearer_than_its_least_depth() {
         for (nearer, bound) in nearer.iter_mut().zip(bounds) {
             *nearer += usize::from(least < bound * (1.0 - 1e-9));
         }
+
+        // And it reaches over no more pixels than its edges let it.
+        if by_edge(longest) > tests.near {
+            let seen = Aabb::of(triangle.map(|p| p / p.z));
+            let reach = seen.extent().element_sum() / tests.pixel;
+            assert!(reach <= tests.edge_px(longest, by_edge(longest)), "{triangle:?}");
+            reached += 1;
+        }
     }
     assert!(nearer[0] == 0 && nearer[1] > 100 && nearer[2] > 100, "{nearer:?}");
+    assert!(reached > 10_000, "{reached}");
 }
 
 #[test]
@@ -330,14 +339,18 @@ fn the_box_lies_in_front_of_a_depth_that_errs_as_much_as_it_may() {
         // A point of the part, and the errors of geometry and box there, in depth.
         let share = DVec3::new(rng.random(), rng.random(), rng.random());
         let q = part.min + part.extent() * share;
-        let reach = tests.picture_px * if part == whole { 1.0 } else { 2.0 };
-        let at = |b: &Aabb| {
+        let by_edge = part.distance(DVec3::ZERO) / tests.corner_ray - size;
+        let reach = match part == whole {
+            true => tests.picture_px,
+            false => tests.edge_px(size, by_edge).min(tests.guarded_px()),
+        };
+        let at = |b: &Aabb, reach: f64| {
             let (w0, w1) = (tests.least_depth(b), tests.depths(b).1);
             tests.depth_error(w0, w1, reach)
         };
         for (behind, displaced) in behind.iter_mut().zip([displaced, Displacement::NONE]) {
             let grown = displaced.of(&part);
-            let error = at(&whole) + at(&grown);
+            let error = at(&whole, reach) + at(&grown, tests.box_px(&grown));
             // Where the ray to the point enters the box.
             let entry = (0..3).map(|k| {
                 let side = if q[k] > 0.0 { grown.min[k] } else { grown.max[k] };
@@ -347,5 +360,5 @@ fn the_box_lies_in_front_of_a_depth_that_errs_as_much_as_it_may() {
             *behind += usize::from(1.0 / entered < 1.0 / q.z + error);
         }
     }
-    assert!(behind[0] == 0 && behind[1] > 1000, "{behind:?}");
+    assert!(behind[0] == 0 && behind[1] > 50, "{behind:?}");
 }

@@ -180,7 +180,7 @@ impl Node {
 
     fn output_work(&mut self, role: Role, frame: FrameIndex, set: Option<Arc<VisibleSet>>) {
         let camera = self.cameras[&frame];
-        let set = set.unwrap_or_else(|| Arc::new(VisibleSet::whole_scene()));
+        let set = set.unwrap_or_default();
         let output = match role {
             Role::OcclusionRepresentation => Output::Occlude { frame, camera, occluders: set },
             Role::RenderVisibleGeometry => {
