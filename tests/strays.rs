@@ -1,5 +1,7 @@
 //! What lies kilometres away from a scene takes nothing from it: what is before the eye is drawn.
 
+#![allow(clippy::unwrap_used, reason = "a test stops where something is missing")]
+
 mod support;
 
 use std::fmt::Write;

@@ -244,7 +244,8 @@ fn asked(stage: &Stage<'_>, passed: &[Candidate]) -> Vec<FrontEntry> {
     let (with_boxes, mut asked): (Vec<&Candidate>, Vec<&Candidate>) =
         offered.partition(|one| matches!(one.test, Test::Box(_)));
 
-    // Of those that have a box the cheapest: so most hlods are found hidden for least.
+    // Of those that have a box first what was found hidden, then those whose turn it is, the cheapest first: so most
+    // hlods are found hidden for least.
     let triangles = |one: &Candidate| stage.triangles(&[one.entry]);
     let mut left = passed.iter().map(triangles).sum::<u64>() / SHARE_OF_TRIANGLES;
     let is_due = |one: &&&Candidate| {
@@ -252,7 +253,10 @@ fn asked(stage: &Stage<'_>, passed: &[Candidate]) -> Vec<FrontEntry> {
         id.0.wrapping_add(stage.turn).is_multiple_of(TURNS) || stage.hidden.contains(&id)
     };
     let mut due: Vec<&Candidate> = with_boxes.iter().filter(is_due).copied().collect();
-    due.sort_by_key(|one| (triangles(one), one.entry.hlod));
+    due.sort_by_key(|one| {
+        let id = one.entry.hlod;
+        (!stage.hidden.contains(&id), triangles(one), id)
+    });
     asked.extend(due.into_iter().take_while(|one| {
         let cost = triangles(one);
         let fits = cost <= left;

@@ -137,7 +137,7 @@ fn culling_off_draws_all_and_gives_the_same_pictures() {
 #[test]
 fn the_audit_sees_the_near_rule_broken() {
     // A pillar whose bounds hold the eye, in front of a wall that hides the far side of the bounds.
-    let bounds = [[-5.0, -5.0, -5.0], [5.0, 20.0, 5.0]];
+    let bounds = [[-9.0, -5.0, -9.0], [9.0, 20.0, 9.0]];
     let pillar = Piece { solid: [[-0.5, 4.0, -2.0], [0.5, 5.0, 2.0]], bounds };
     let wall = Piece::tight([-50.0, 8.0, -50.0], [50.0, 9.0, 50.0]);
     let cameras = [look([0.0; 3], [0.0, 1.0, 0.0]); 3];
@@ -147,6 +147,44 @@ fn the_audit_sees_the_near_rule_broken() {
     };
     assert_eq!(lost(Rules::default()), 0);
     assert!(lost(Rules { near_rule: false, ..Rules::default() }) > 0);
+}
+
+/// A wall, and a pillar behind it whose bounds the wall does not hide.
+fn behind_a_wall(bounds: [[f64; 3]; 2]) -> [Piece; 2] {
+    let wall = Piece::tight([-5.0, 8.0, -5.0], [5.0, 9.0, 3.0]);
+    [wall, Piece { solid: [[-0.5, 12.0, -1.0], [0.5, 13.0, 1.0]], bounds }]
+}
+
+#[test]
+fn what_no_box_can_tell_of_is_tested_by_its_triangles() {
+    // The bounds hold the eye.
+    let pieces = behind_a_wall([[-1.0, -1.0, -1.0], [1.0, 13.0, 1.0]]);
+    let seen =
+        play(&pieces, &[look([0.0; 3], [0.0, 1.0, 0.0]); 2], Cull::Queries, Rules::default());
+    for frame in &seen {
+        assert_eq!((frame.culled.visible, frame.culled.at_eye, frame.differing), (1, 0, 0));
+        assert!(frame.culled.mesh_queries > 0);
+    }
+    // From where the wall does not hide it, it is seen.
+    let beside = [look([0.0, 10.0, 0.0], [0.0, 20.0, 0.0]); 2];
+    let seen = play(&pieces, &beside, Cull::Queries, Rules::default());
+    assert!(seen.iter().all(|frame| frame.culled.visible == 1 && frame.with_pixels == 1));
+}
+
+#[test]
+fn what_a_box_shows_in_vain_is_found_in_its_turn_and_stays_found() {
+    // The bounds are higher than the wall; many small things beside it, so that the pillar costs little of all.
+    let mut pieces = behind_a_wall([[-0.5, 12.0, -1.0], [0.5, 13.0, 9.0]]).to_vec();
+    pieces.extend((0..9).map(|i| {
+        let x = f64::from(i) - 4.5;
+        Piece::tight([x, 6.0, -1.0], [x + 0.3, 6.3, -0.7])
+    }));
+    let frames = [look([0.0; 3], [0.0, 1.0, 0.0]); 20];
+    let seen = play(&pieces, &frames, Cull::Queries, Rules::default());
+    let visible: Vec<u32> = seen.iter().map(|frame| frame.culled.visible).collect();
+    assert_eq!(visible[0], 11, "its box is seen above the wall");
+    assert!(visible[9..].iter().all(|&count| count == 10), "{visible:?}");
+    assert!(seen.iter().all(|frame| frame.differing == 0 && frame.with_pixels == 10));
 }
 
 #[test]

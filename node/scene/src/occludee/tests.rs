@@ -252,15 +252,15 @@ fn what_rounding_moves_into_the_picture_is_asked_for() {
 fn least_rasterised(tests: &BoxTests, triangle: [DVec3; 3], guard_band: f64) -> Option<f64> {
     let [tx, ty] = tests.tan_half.map(|t| t * guard_band);
     let planes = [
-        DVec3::new(1.0, 0.0, tx),
-        DVec3::new(-1.0, 0.0, tx),
-        DVec3::new(0.0, 1.0, ty),
-        DVec3::new(0.0, -1.0, ty),
+        (DVec3::new(1.0, 0.0, tx), 0.0),
+        (DVec3::new(-1.0, 0.0, tx), 0.0),
+        (DVec3::new(0.0, 1.0, ty), 0.0),
+        (DVec3::new(0.0, -1.0, ty), 0.0),
+        (DVec3::Z, tests.near),
     ];
-    let near = |p: DVec3| p.z - tests.near;
     let mut polygon = triangle.to_vec();
-    for side in 0..5 {
-        let inside = |p: DVec3| if side == 4 { near(p) } else { planes[side].dot(p) };
+    for (normal, offset) in planes {
+        let inside = |p: DVec3| normal.dot(p) - offset;
         let mut kept = Vec::new();
         for (i, &here) in polygon.iter().enumerate() {
             let next = polygon[(i + 1) % polygon.len()];
