@@ -36,7 +36,7 @@ const SHARE_OF_TRIANGLES: u64 = 8;
 pub(crate) struct Culled {
     /// V_i, sorted.
     pub(crate) visible: Vec<HlodId>,
-    /// What the wire makes of it is counted elsewhere: `changed`, `ids_delta` and `ids_full` are 0.
+    /// What the wire makes of it is counted elsewhere: `leaving`, `entering` and all `ids_*` are 0.
     pub(crate) counts: CullCounts,
 }
 
