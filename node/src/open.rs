@@ -13,7 +13,7 @@ use protocol::id::BlobId;
 use protocol::message::FailureKind;
 use protocol::settings::{Far, Residency as Promise, RunSettings};
 use protocol::sun::Sun;
-use scene::backend::{Backend, Upload, light};
+use scene::backend::{Backend, Shading, Upload, light, warm_up};
 use scene::front::FrontEntry;
 use scene::prefetch::Forecaster;
 use scene::stand_in::coarsest_cut;
@@ -56,7 +56,10 @@ pub(crate) fn open_on<'a>(
     if room.map_err(RoleError::from)? == Upload::Full {
         return Err(RoleError::Textures.into());
     }
-    let RunSettings { size, lod_px, prefetch, .. } = *settings;
+    let RunSettings { size, lod_px, prefetch, sun, cull, .. } = *settings;
+    let blobs = drawable.iter().map(|&blob| skeleton.blob(blob));
+    let shading = Shading::Lit { sun: sun.unit() };
+    warm_up(backend.as_mut(), blobs, size, shading, cull).map_err(RoleError::from)?;
     let cells = Arc::clone(&far.cells);
     let forecaster = Forecaster::new(Arc::clone(&skeleton), cells, size, lod_px);
     let digest = store.digest();

@@ -551,7 +551,8 @@ impl Loader {
     }
 
     fn foresee(&mut self) {
-        if !self.prefetch {
+        // Before anything is known to be visible a forecast would name all that the frustum holds.
+        if !self.prefetch || self.drawn.is_none() && self.visible.is_empty() {
             return;
         }
         let next = self.ahead.iter().take(LOOKED_AHEAD);

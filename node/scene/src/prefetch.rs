@@ -34,6 +34,13 @@ pub enum Event {
     Hidden,
 }
 
+impl Event {
+    /// Only what is visible there will tell whether it is needed.
+    pub fn is_guess(self) -> bool {
+        matches!(self, Self::Entering | Self::Hidden)
+    }
+}
+
 /// What a forecast names, in order of need: events, and under which of the cameras ahead. Of what is
 /// hidden only the nearest camera's counts: until a later one comes, there will be a newer forecast.
 const STEPS: [(Event, usize); 7] = [

@@ -30,6 +30,10 @@ const ARRIVALS: usize = 1024;
 /// Bytes that a drawing takes in of what it does not wait for; what is larger is not read ahead.
 pub(crate) const BESIDES_BYTES: u64 = 16 << 20;
 
+/// Bytes that a forecast has read of what may as well be hidden: most of it is, and its reading takes time from
+/// those who draw where cores are few. The next forecast reads on. What begins below it is read whole.
+const GUESSED_BYTES: u64 = 1 << 20;
+
 /// Where blobs and textures come from.
 pub(crate) trait Source: Send {
     /// Reads and checks one; `out` has its length.
@@ -134,6 +138,8 @@ impl IoThread {
             next_forecast: None,
             with_textures: false,
             room: Room::default(),
+            guesses: false,
+            left_to_guess: 0,
         };
         std::thread::Builder::new().name("io".to_owned()).spawn(move || reader.run())?;
         Ok(Self { orders, arrivals, claims, likely, pool, is_awaited })
@@ -182,6 +188,10 @@ struct Reader<S> {
     with_textures: bool,
     /// Bytes that the forecast may still take.
     room: Room,
+    /// What the forecast names now is likely only for want of knowing what is hidden.
+    guesses: bool,
+    /// Bytes of guesses that may still be read under this forecast.
+    left_to_guess: u64,
 }
 
 /// The render side is gone.
@@ -259,6 +269,7 @@ impl<S: Source> Reader<S> {
             if let Some((outlook, in_use)) = self.next_forecast.take() {
                 self.ahead.clear();
                 self.likely.clear_all();
+                (self.guesses, self.left_to_guess) = (false, GUESSED_BYTES);
                 in_use.into_iter().for_each(|asset| _ = self.likely.set(asset));
                 // Cubes of the cells to come; they are drawn whatever is visible.
                 for camera in &outlook.ahead {
@@ -269,7 +280,7 @@ impl<S: Source> Reader<S> {
                 self.forecaster.begin(outlook);
             }
             while let Some(asset) = self.ahead.pop_front() {
-                if !self.claims.has(asset) {
+                if !self.claims.has(asset) && self.may_read_ahead(asset) {
                     return Some((asset, true));
                 }
             }
@@ -279,12 +290,24 @@ impl<S: Source> Reader<S> {
             if self.room.blobs == 0 {
                 return None;
             }
-            let (_, levels) = self.forecaster.next_levels()?;
+            let (event, levels) = self.forecaster.next_levels()?;
+            self.guesses = event.is_guess();
             let (skeleton, textures) = (Arc::clone(&self.skeleton), self.with_textures);
             let blobs = levels.iter().flat_map(|&level| skeleton.blobs_of(level));
             let named = blobs.flat_map(|blob| needs(&skeleton, blob, textures));
             named.for_each(|asset| self.expect(asset));
         }
+    }
+
+    /// Whether something named is worth the time it takes from those who draw.
+    fn may_read_ahead(&mut self, asset: Asset) -> bool {
+        if !self.guesses {
+            return true;
+        }
+        let may = self.left_to_guess > 0;
+        let bytes = asset.file_bytes(&self.skeleton);
+        self.left_to_guess = self.left_to_guess.saturating_sub(bytes);
+        may
     }
 
     /// Marks an asset as likely to be needed, and has it read if it is not there, as long as there is room

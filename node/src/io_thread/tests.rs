@@ -181,6 +181,32 @@ fn no_more_is_read_ahead_than_there_is_room_for() {
 }
 
 #[test]
+fn of_what_may_as_well_be_hidden_a_forecast_reads_a_part() {
+    const MIB: u64 = 1 << 20;
+    let skeleton = skeleton(60, MIB);
+    let (io, read) = start(&skeleton, 64 * MIB, Duration::ZERO);
+    let come = || {
+        let arrivals =
+            std::iter::from_fn(|| io.arrivals.recv_timeout(Duration::from_millis(300)).ok());
+        arrivals.map(drop).count() as u64
+    };
+    let guess = || {
+        let outlook = Outlook { visible: Arc::default(), ..outlook() };
+        let room = Room { blobs: u64::MAX, textures: 0 };
+        Order::Foresee { outlook, in_use: vec![], room, textures: false }
+    };
+    for turn in 1..4 {
+        io.foresee(guess());
+        assert_eq!(come(), GUESSED_BYTES / MIB);
+        let distinct: BTreeSet<Asset> = read.lock().unwrap().iter().copied().collect();
+        assert_eq!(distinct.len() as u64, turn * GUESSED_BYTES / MIB, "each reads on");
+    }
+    // What stands for the visible set is no guess.
+    io.foresee(forecast(u64::MAX));
+    assert!(come() > 3 * GUESSED_BYTES / MIB);
+}
+
+#[test]
 fn what_is_larger_than_a_drawing_takes_in_besides_is_not_read_ahead() {
     let skeleton = skeleton(3, BESIDES_BYTES + 1);
     let (io, read) = start(&skeleton, 8 * BESIDES_BYTES, Duration::ZERO);

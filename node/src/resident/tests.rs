@@ -77,6 +77,13 @@ fn draw(loader: &mut Loader, backend: &mut CpuBackend, blob: u32) {
     assert_eq!(drawn, Drawn::Whole);
 }
 
+/// All of the scene is visible, and will be.
+fn sees_all(loader: &mut Loader, skeleton: &Skeleton) {
+    loader.look_ahead(Some((FrameIndex(0), camera())), vec![FrameIndex(0), FrameIndex(1)]);
+    let all = (0..skeleton.hlods.len() as u32).map(protocol::id::HlodId).collect();
+    loader.note_visible(FrameIndex(0), &Arc::new(VisibleSet::from_sorted(all)));
+}
+
 fn until(what: &str, is_so: impl Fn() -> bool) {
     let waited = (0..2000).any(|_| {
         std::thread::sleep(Duration::from_millis(5));
@@ -92,7 +99,7 @@ fn a_drawing_uploads_what_it_lacks_and_no_more_than_16_mib_besides() {
     let mut loader = loader(&skeleton);
     let mut backend = CpuBackend::new(SIZE);
     // All of it is foreseen, and most of it waits to be taken in.
-    loader.look_ahead(Some((FrameIndex(0), camera())), vec![FrameIndex(0), FrameIndex(1)]);
+    sees_all(&mut loader, &skeleton);
     until("nothing was read ahead", || loader.io.arrivals.len() > 900);
 
     // A list finds what it lacks behind all the rest, and leaves that where it is.
@@ -127,11 +134,22 @@ fn a_drawing_uploads_what_it_lacks_and_no_more_than_16_mib_besides() {
 }
 
 #[test]
+fn nothing_is_read_ahead_before_anything_is_known_to_be_visible() {
+    let skeleton = skeleton();
+    let mut loader = loader(&skeleton);
+    loader.look_ahead(Some((FrameIndex(0), camera())), vec![FrameIndex(0), FrameIndex(1)]);
+    std::thread::sleep(Duration::from_millis(100));
+    assert_eq!(loader.io.arrivals.len(), 0, "all that the frustum holds is read at the start");
+    sees_all(&mut loader, &skeleton);
+    until("nothing was read ahead", || !loader.io.arrivals.is_empty());
+}
+
+#[test]
 fn what_was_read_ahead_and_waits_is_drawn_without_being_read_again() {
     let skeleton = skeleton();
     let mut loader = loader(&skeleton);
     let mut backend = CpuBackend::new(SIZE);
-    loader.look_ahead(Some((FrameIndex(0), camera())), vec![FrameIndex(0), FrameIndex(1)]);
+    sees_all(&mut loader, &skeleton);
     until("not all was read ahead", || loader.io.arrivals.len() == MESHES as usize);
     loader.now += 1;
     for wanted in (0..MESHES).step_by(7) {

@@ -10,9 +10,11 @@
 //!
 //! All rests on the same proof: whatever of the frame's own front is drawn may hide.
 
+use super::occlusion_representation::{draw_depth, retain_what_hides};
 use super::{RoleError, Stage};
 use crate::resident::{Drawn, Needs};
 use protocol::camera::Camera;
+use protocol::format::{Class, Skeleton};
 use protocol::id::HlodId;
 use protocol::settings::Cull;
 use protocol::telemetry::CullCounts;
@@ -21,6 +23,7 @@ use scene::draw_list::draw_list;
 use scene::front::{FrontEntry, distance_from_eye};
 use scene::occludee::{BoxTest, BoxTests};
 use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
 
 /// A second look is taken where more than one of so many that pass are no occluders: so the want of occluders adds
 /// no more than this share to what is drawn.
@@ -138,67 +141,34 @@ fn second_look(
     counts: &mut CullCounts,
 ) -> Result<(), RoleError> {
     let mut drawn: BTreeSet<HlodId> = stage.occluders.iter().copied().collect();
-    let fresh = passed.iter().filter(|one| !drawn.contains(&one.entry.hlod)).count();
-    if fresh * SECOND_LOOK <= passed.len() {
+    let entries = passed.iter().map(|one| one.entry);
+    let mut fresh: Vec<FrontEntry> = entries.filter(|e| !drawn.contains(&e.hlod)).collect();
+    if fresh.len() * SECOND_LOOK <= passed.len() {
         return Ok(());
     }
-
-    // What hides must be drawn in every picture that is mixed into the one.
-    let cells = stage.cells();
-    let mixed = cells.compositions(camera.eye);
-    let may_hide = |hlod| mixed.iter().all(|of| of.has(hlod));
+    retain_what_hides(stage, camera, &mut fresh);
+    // None is negative, and so their bits have their order.
+    let distance =
+        |entry: &FrontEntry| distance_from_eye(stage.skeleton.hlod(entry.hlod), camera.eye);
+    fresh.sort_by_cached_key(|entry| (distance(entry).to_bits(), entry.hlod));
 
     stage.begin_drawing()?;
     let mut most = FIRST_DRAWN;
-    loop {
-        let distance =
-            |entry: &FrontEntry| distance_from_eye(stage.skeleton.hlod(entry.hlod), camera.eye);
-        let entries = passed.iter().map(|one| one.entry);
-        let mut fresh: Vec<(f64, FrontEntry)> = entries
-            .filter(|entry| may_hide(entry.hlod) && !drawn.contains(&entry.hlod))
-            .map(|entry| (distance(&entry), entry))
-            .collect();
-        if fresh.is_empty() {
-            break;
-        }
-        fresh.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.hlod.cmp(&b.1.hlod)));
-        fresh.truncate(most);
+    while !fresh.is_empty() {
+        let nearest: Vec<FrontEntry> = fresh.drain(..most.min(fresh.len())).collect();
         most *= 2;
 
-        drawn.extend(fresh.iter().map(|(_, entry)| entry.hlod));
-        add_occluders(stage, camera, fresh.into_iter().map(|(_, entry)| entry).collect(), counts)?;
+        drawn.extend(nearest.iter().map(|entry| entry.hlod));
+        let nearest = draw_depth(stage, camera, nearest, true)?;
+        counts.triangles += stage.triangles(&nearest);
         let is_left = |one: &Candidate| !drawn.contains(&one.entry.hlod);
         retain_passing(stage, camera, passed, is_left, counts)?;
+        fresh
+            .retain(|entry| passed.binary_search_by_key(&entry.hlod, |one| one.entry.hlod).is_ok());
     }
 
     // What was drawn early may be hidden by what was drawn late.
     retain_passing(stage, camera, passed, |_| true, counts)
-}
-
-/// Draws more occluders; what is not there is left out.
-fn add_occluders(
-    stage: &mut Stage<'_>,
-    camera: &Camera,
-    mut fresh: Vec<FrontEntry>,
-    counts: &mut CullCounts,
-) -> Result<(), RoleError> {
-    let promise = stage.settings.residency;
-    loop {
-        fresh.retain(|entry| stage.loader.offers_level(entry.level, promise, Needs::Shape));
-        let draws = draw_list(&stage.skeleton, &fresh, camera.eye);
-        let pass = |view, draws: Draws, part| Pass::Occluders {
-            view,
-            draws: draws.solid,
-            adds: true,
-            part,
-        };
-        // None where a mesh turned out to be unreadable: some of them are drawn, which does no harm.
-        let draws = Draws { blending: vec![], ..draws };
-        if stage.draw_list(camera, &draws, Needs::Shape, pass)?.is_some() {
-            counts.triangles += stage.triangles(&fresh);
-            return Ok(());
-        }
-    }
 }
 
 /// Leaves out those of what passes whose turn it is, or of which no box can tell, and none of whose triangles passes.
@@ -253,7 +223,7 @@ fn asked(stage: &Stage<'_>, passed: &[Candidate]) -> Vec<FrontEntry> {
         id.0.wrapping_add(stage.turn).is_multiple_of(TURNS) || stage.hidden.contains(&id)
     };
     let mut due: Vec<&Candidate> = with_boxes.iter().filter(is_due).copied().collect();
-    due.sort_by_key(|one| {
+    due.sort_by_cached_key(|one| {
         let id = one.entry.hlod;
         (!stage.hidden.contains(&id), triangles(one), id)
     });
@@ -277,9 +247,10 @@ fn items_that_pass(
 ) -> Result<BTreeMap<HlodId, bool>, RoleError> {
     let view = stage.view(camera);
     let draws = draw_list(&stage.skeleton, asked, camera.eye);
+    let skeleton = Arc::clone(&stage.skeleton);
     let mut submitted: Vec<Vec<HlodId>> = Vec::new();
     let submit = |backend: &mut dyn Backend, draws: Draws, _| {
-        let draws = by_item(draws);
+        let draws = by_item(&skeleton, draws);
         if !draws.is_empty() {
             submitted.push(draws.chunk_by(|a, b| a.item == b.item).map(|of| of[0].item).collect());
             backend.submit(Pass::QueryMeshes { view, draws })?;
@@ -302,7 +273,13 @@ fn items_that_pass(
 }
 
 /// Every draw once, those of an item side by side, items in order.
-fn by_item(Draws { solid, blending }: Draws) -> Vec<Draw> {
+fn by_item(skeleton: &Skeleton, Draws { solid, mut blending }: Draws) -> Vec<Draw> {
+    let is_solid = |class: &Class| !class.is_blend();
+    let stands_in_both = |draw: &Draw| {
+        let blob = skeleton.blob(draw.blob);
+        Class::ALL.iter().filter(|class| is_solid(class)).any(|&class| blob.has(class))
+    };
+    blending.retain(|draw| !stands_in_both(draw));
     let mut draws = [solid, blending].concat();
     draws.sort_by_key(|draw| (draw.item, draw.blob));
     draws

@@ -27,41 +27,49 @@ pub(crate) fn run(
     stage.begin_drawing()?;
     let front = stage.front(camera);
     let mut wanted = map_onto_front(&stage.skeleton, previous, &front);
-    // What hides must be drawn in every picture that is mixed into the one.
-    let cells = stage.cells();
-    let mixed = cells.compositions(camera.eye);
-    wanted.retain(|entry| mixed.iter().all(|of| of.has(entry.hlod)));
+    retain_what_hides(stage, camera, &mut wanted);
     let promise = stage.settings.residency;
     if promise == Promise::Deadline {
         let skeleton = &stage.skeleton;
         let blobs = wanted.iter().flat_map(|entry| skeleton.blobs_of(entry.level));
         stage.loader.order_missing(blobs.collect::<Vec<_>>(), Needs::Shape);
     }
-    // What is not there is left out: less is culled, and never too much.
+    let asked = wanted.len();
+    let entries = draw_depth(stage, camera, wanted, false)?;
+    stage.occluders = entries.iter().map(|entry| entry.hlod).collect();
+    Ok(DrawCounts {
+        hlods: entries.len() as u32,
+        triangles: stage.triangles(&entries),
+        missing: Missing { replaced: (asked - entries.len()) as u32, ..Missing::default() },
+        ..DrawCounts::default()
+    })
+}
+
+/// Leaves what may hide: it must be drawn in every picture that is mixed into the one.
+pub(super) fn retain_what_hides(stage: &Stage<'_>, camera: &Camera, entries: &mut Vec<FrontEntry>) {
+    let cells = stage.cells();
+    let mixed = cells.compositions(camera.eye);
+    entries.retain(|entry| mixed.iter().all(|of| of.has(entry.hlod)));
+}
+
+/// Draws `wanted` as occluders, to the depth there is or to an empty one, and returns what was drawn: what is not
+/// there is left out, so that less is culled, and never too much.
+pub(super) fn draw_depth(
+    stage: &mut Stage<'_>,
+    camera: &Camera,
+    mut wanted: Vec<FrontEntry>,
+    adds: bool,
+) -> Result<Vec<FrontEntry>, RoleError> {
+    let promise = stage.settings.residency;
+    let pass = |view, draws: Draws, part| Pass::Occluders { view, draws: draws.solid, adds, part };
     loop {
-        let offered =
-            |entry: &&FrontEntry| stage.loader.offers_level(entry.level, promise, Needs::Shape);
-        let entries: Vec<FrontEntry> = wanted.iter().filter(offered).copied().collect();
-        let draws = draw_list(&stage.skeleton, &entries, camera.eye);
-        let pass = |view, draws: Draws, part| Pass::Occluders {
-            view,
-            draws: draws.solid,
-            adds: false,
-            part,
-        };
-        let Some(completion) =
-            stage.draw_list(camera, &Draws { blending: vec![], ..draws }, Needs::Shape, pass)?
-        else {
-            continue;
-        };
-        assert!(matches!(completion, Completion::Occluders { .. }), "occluders answer as such");
-        let replaced = (wanted.len() - entries.len()) as u32;
-        stage.occluders = entries.iter().map(|entry| entry.hlod).collect();
-        return Ok(DrawCounts {
-            hlods: entries.len() as u32,
-            triangles: stage.triangles(&entries),
-            missing: Missing { replaced, ..Missing::default() },
-            ..DrawCounts::default()
-        });
+        wanted.retain(|entry| stage.loader.offers_level(entry.level, promise, Needs::Shape));
+        let draws = draw_list(&stage.skeleton, &wanted, camera.eye);
+        let draws = Draws { blending: vec![], ..draws };
+        // None where a mesh turned out to be unreadable: it is drawn anew without.
+        if let Some(completion) = stage.draw_list(camera, &draws, Needs::Shape, pass)? {
+            assert!(matches!(completion, Completion::Occluders { .. }), "occluders answer as such");
+            return Ok(wanted);
+        }
     }
 }

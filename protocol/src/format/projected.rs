@@ -119,7 +119,7 @@ impl NewPatch<'_> {
     /// # Panics
     /// If there is no such side, `table`, `tiles` or `normals` are not as their docs say, a vertex lies outside the
     /// picture, or the mesh is none ([`mesh::lay_out`]).
-    pub(super) fn encode(&self) -> (Blob, Vec<u8>) {
+    pub fn encode(&self) -> (Blob, Vec<u8>) {
         let &Self { step, at: [left, top], side, vertices, indices, table, tiles, normals } = self;
         assert!(is_side(side), "a picture of {side} pixels a side");
         assert_eq!(table.len(), most_tiles(side) as usize, "entries of the tile table");

@@ -15,12 +15,14 @@ pub mod light;
 pub mod normal;
 mod part;
 mod texture_room;
+mod warm_up;
 
 pub use part::{Part, UnderWay};
 pub use texture_room::{
     LARGEST_STORED_SIDE, list_bytes, page_side, stored_bytes, stored_mips, stored_shape,
     texture_room,
 };
+pub use warm_up::warm_up;
 
 use crate::occludee::Precision;
 use crate::store::{Store, StoreError};
