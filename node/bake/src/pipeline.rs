@@ -189,15 +189,22 @@ fn import_all(
         let (meshes, textures) = spool.counts();
         spool.next_file(whole.as_ref().map_or(0, |whole: &Imported| whole.surfaces.len()));
         let part = import(input, &limits, &mut spool)?;
-        join(&mut whole, part, meshes, textures);
+        join(&mut whole, part, meshes, textures, [&inputs[0], input]);
         progress.advance(1);
     }
     Ok(spool.finish(whole.unwrap_or_default())?)
 }
 
 /// Appends another file's objects and surfaces, whose meshes and textures are numbered from
-/// `meshes` and `textures` on. The first file's up direction holds.
-fn join(whole: &mut Option<Imported>, mut part: Imported, meshes: usize, textures: usize) {
+/// `meshes` and `textures` on. All stand as their coordinates say, and the first file's up direction holds; `files`
+/// are the first and this one.
+fn join(
+    whole: &mut Option<Imported>,
+    mut part: Imported,
+    meshes: usize,
+    textures: usize,
+    files: [&Path; 2],
+) {
     part.objects.iter_mut().for_each(|object| object.mesh += meshes);
     let moved = |texture: u32| texture + textures as u32;
     part.surfaces.iter_mut().for_each(|surface| surface.texture = surface.texture.map(moved));
@@ -207,6 +214,13 @@ fn join(whole: &mut Option<Imported>, mut part: Imported, meshes: usize, texture
             whole.objects.append(&mut part.objects);
             whole.surfaces.append(&mut part.surfaces);
             whole.notes.append(&mut part.notes);
+            if part.up != whole.up {
+                let [first, this] = files.map(|file| file.display());
+                whole.notes.push(format!(
+                    "{this} has another direction up than {first}, as files of its format have: all stand as \
+                     their coordinates say, turn one where that is not meant"
+                ));
+            }
         }
     }
 }

@@ -18,6 +18,8 @@ pub(super) struct Emitter<'a> {
     textures: u32,
     /// Triangles that have an area, each mesh counted once.
     triangles: u64,
+    /// Those of them that let all through.
+    unseen: u64,
     surfaces: Vec<Surface>,
     /// By what makes a surface: its number.
     numbers: BTreeMap<(u8, u32, bool, Option<u32>), u16>,
@@ -28,7 +30,17 @@ impl<'a> Emitter<'a> {
     pub(super) fn new(file: &'a Path, limits: ImportLimits, sink: &'a mut dyn Sink) -> Self {
         let surfaces = vec![Surface::PLAIN];
         let numbers = BTreeMap::from([(key(Surface::PLAIN), 0)]);
-        Self { file, limits, sink, meshes: 0, textures: 0, triangles: 0, surfaces, numbers }
+        Self {
+            file,
+            limits,
+            sink,
+            meshes: 0,
+            textures: 0,
+            triangles: 0,
+            unseen: 0,
+            surfaces,
+            numbers,
+        }
     }
 
     /// Hands out a mesh; its number.
@@ -56,6 +68,7 @@ impl<'a> Emitter<'a> {
             section.surface = numbers[usize::from(section.surface)];
         }
         self.triangles += mesh.indices.len() as u64;
+        self.unseen += unseen(&mesh, |surface| self.surfaces[usize::from(surface)].alpha);
         Ok(mesh)
     }
 
@@ -72,8 +85,13 @@ impl<'a> Emitter<'a> {
         self,
         objects: Vec<SourceObject>,
         up: [f64; 3],
-        notes: Vec<String>,
+        mut notes: Vec<String>,
     ) -> Result<Imported, ImportError> {
+        if self.unseen > 0 {
+            let (unseen, all) = (self.unseen, self.triangles);
+            notes
+                .push(format!("{unseen} of {all} triangles have an alpha of 0: they are not seen"));
+        }
         if self.triangles == 0 {
             return Err(ImportError::Empty { file: self.file.into(), notes });
         }
@@ -99,6 +117,25 @@ impl<'a> Emitter<'a> {
     fn refused(&self, source: std::io::Error) -> ImportError {
         ImportError::Sink { file: self.file.into(), source }
     }
+}
+
+/// Triangles of a mesh that blend and whose corners all have an alpha of 0.
+fn unseen(mesh: &SourceMesh, alpha: impl Fn(u16) -> Alpha) -> u64 {
+    let mut first = 0;
+    let mut count = 0;
+    for section in &mesh.sections {
+        let triangles = &mesh.indices[first..section.end as usize];
+        first = section.end as usize;
+        if alpha(section.surface) == Alpha::Blend {
+            let is_unseen = |triangle: &&[u32; 3]| {
+                triangle
+                    .iter()
+                    .all(|&c| mesh.colors.get(c as usize).is_some_and(|color| color[3] == 0))
+            };
+            count += triangles.iter().filter(is_unseen).count() as u64;
+        }
+    }
+    count
 }
 
 /// A surface as something that has an order.

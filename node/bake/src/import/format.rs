@@ -5,7 +5,7 @@ use std::io::Read;
 use std::path::Path;
 
 use super::error::ImportError;
-use super::text::words;
+use super::text::{BYTE_ORDER_MARK, is_utf16, words};
 
 /// A format this program reads.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -31,6 +31,9 @@ impl Format {
         let length = file.metadata().map_err(unreadable)?.len();
         let mut head = Vec::new();
         file.take(HEAD_BYTES).read_to_end(&mut head).map_err(unreadable)?;
+        if let Some(what) = stands_for(&head) {
+            return Err(ImportError::UnknownFormat { file: path.into(), what });
+        }
         if let Some(format) = Self::by_name(path) {
             return Ok(format);
         }
@@ -49,7 +52,7 @@ impl Format {
     }
 
     fn by_content(head: &[u8], length: u64) -> Option<Self> {
-        let text = head.strip_prefix(b"\xEF\xBB\xBF").unwrap_or(head).trim_ascii_start();
+        let text = head.strip_prefix(BYTE_ORDER_MARK).unwrap_or(head).trim_ascii_start();
         let triangles = head.get(80..84).and_then(|count| count.first_chunk::<4>());
         let binary_stl = triangles
             .is_some_and(|count| 84 + 50 * u64::from(u32::from_le_bytes(*count)) == length);
@@ -69,9 +72,29 @@ impl Format {
 
     /// The first word of the first line that is no comment.
     fn first_words(text: &[u8]) -> impl Iterator<Item = &[u8]> {
-        let lines = text.split(|&byte| byte == b'\n');
+        let lines = text.split(|byte| matches!(byte, b'\n' | b'\r'));
         lines.filter_map(|line| words(line).next()).filter(|word| !word.starts_with(b"#")).take(1)
     }
+}
+
+/// What a file is that stands for a model, or holds it, whatever its name ends in.
+fn stands_for(head: &[u8]) -> Option<String> {
+    let text = head.strip_prefix(BYTE_ORDER_MARK).unwrap_or(head).trim_ascii_start();
+    let begins = |with: &[u8]| text.get(..with.len()).is_some_and(|b| b.eq_ignore_ascii_case(with));
+    let what = if begins(b"version https://git-lfs") {
+        "this is a Git LFS pointer and not the model itself (fetch that with `git lfs pull`)"
+    } else if head.starts_with(b"\x1F\x8B") {
+        "this is a gzip file (unpack it first)"
+    } else if head.starts_with(b"PK\x03\x04") {
+        "this is a zip file (unpack it first)"
+    } else if begins(b"<!doctype html") || begins(b"<html") {
+        "this is a web page and not a model (download the file itself)"
+    } else if is_utf16(head) {
+        "this is UTF-16 text (save it as UTF-8)"
+    } else {
+        return None;
+    };
+    Some(what.to_owned())
 }
 
 /// What stands at the start of a file in no known format.
@@ -118,5 +141,20 @@ mod tests {
             }
         }
         assert!(Format::of(&folder.path().join("none.obj")).unwrap_err().is_missing_input());
+        for (name, bytes, word) in [
+            (
+                "a.glb",
+                &b"version https://git-lfs.github.com/spec/v1\noid sha256:0"[..],
+                "git lfs pull",
+            ),
+            ("a.obj", b"\x1F\x8B\x08\0", "gzip"),
+            ("a.stl", b"PK\x03\x04\x14", "zip"),
+            ("a.gltf", b"\n<!DOCTYPE HTML><html>", "web page"),
+            ("a.ply", b"\xEF\xBB\xBF<html>", "web page"),
+            ("a.gltf", b"{\0 \0\"\0", "UTF-16"),
+        ] {
+            let message = of(name, bytes).unwrap_err().to_string();
+            assert!(message.contains(word), "{name}: {message}");
+        }
     }
 }

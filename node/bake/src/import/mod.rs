@@ -19,6 +19,7 @@ mod store;
 #[cfg(test)]
 mod testing;
 mod text;
+mod texture;
 mod uri;
 
 use std::path::Path;

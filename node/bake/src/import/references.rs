@@ -2,11 +2,14 @@
 
 use serde::Deserialize;
 use std::fs::File;
-use std::io::{BufRead, BufReader, Read, Seek, SeekFrom};
+use std::io::{BufReader, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
 use super::error::ImportError;
+use super::format::Format;
+use super::text::BYTE_ORDER_MARK;
 use super::uri::Folder;
+use super::{obj, ply};
 
 /// What names other files in a glTF document.
 #[derive(Deserialize)]
@@ -30,22 +33,25 @@ struct Name {
 /// Where the file itself cannot be read.
 pub fn references(path: &Path) -> Result<Vec<PathBuf>, ImportError> {
     let unreadable = |source| ImportError::unreadable(path, source);
-    let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default();
-    match extension.to_ascii_lowercase().as_str() {
-        "obj" => in_obj(path).map_err(unreadable),
-        "ply" | "stl" => Ok(Vec::new()),
-        _ => in_gltf(path).map_err(unreadable),
+    match Format::of(path)? {
+        Format::Obj => obj::references(path),
+        Format::Ply => ply::references(path),
+        Format::Stl => Ok(Vec::new()),
+        Format::Gltf => in_gltf(path).map_err(unreadable),
     }
 }
 
 fn in_gltf(path: &Path) -> std::io::Result<Vec<PathBuf>> {
     let mut file = File::open(path)?;
-    let mut head = [0u8; 20];
-    let (start, length) = if file.read_exact(&mut head).is_ok() && head.starts_with(b"glTF") {
+    let mut head = Vec::new();
+    file.by_ref().take(20).read_to_end(&mut head)?;
+    let (start, length) = match head.first_chunk::<20>() {
         // The length of a GLB's first chunk (glTF 2.0, section 4.4.3).
-        (20, u64::from(u32::from_le_bytes([head[12], head[13], head[14], head[15]])))
-    } else {
-        (0, u64::MAX)
+        Some([b'g', b'l', b'T', b'F', .., a, b, c, d, _, _, _, _]) => {
+            (20, u64::from(u32::from_le_bytes([*a, *b, *c, *d])))
+        }
+        _ if head.starts_with(BYTE_ORDER_MARK) => (BYTE_ORDER_MARK.len() as u64, u64::MAX),
+        _ => (0, u64::MAX),
     };
     file.seek(SeekFrom::Start(start))?;
     // Most files name no other, and parsing a large one takes as long as all of its import.
@@ -57,7 +63,7 @@ fn in_gltf(path: &Path) -> std::io::Result<Vec<PathBuf>> {
     let Ok(Names { buffers, images }) = json else { return Ok(Vec::new()) };
     let names = buffers.into_iter().chain(images).filter_map(|name| name.uri);
     let external = names.filter(|uri| !uri.starts_with("data:"));
-    Ok(external.filter_map(|uri| Folder { file: path }.find(&uri)).collect())
+    Ok(external.filter_map(|uri| Folder { file: path, by: path }.find(&uri)).collect())
 }
 
 /// Whether a JSON text can have a member "uri": the word stands there, or letters are escaped.
@@ -80,53 +86,6 @@ fn may_name_files(json: &mut impl Read) -> std::io::Result<bool> {
         kept = end.min(WORD.len() - 1);
         block.copy_within(end - kept..end, 0);
     }
-}
-
-fn in_obj(path: &Path) -> std::io::Result<Vec<PathBuf>> {
-    let mut found = Vec::new();
-    for line in named_after(path, &["mtllib "])? {
-        for library in named_in(path, &line) {
-            // A missing library is the importer's to judge.
-            let pictures = named_after(&library, &["map_Kd "]).unwrap_or_default();
-            found.push(library.clone());
-            found.extend(pictures.iter().flat_map(|line| named_in(&library, line)));
-        }
-    }
-    Ok(found)
-}
-
-/// Every file that a line may mean: names may hold blanks, follow options, stand for a URI, or have lost
-/// their folder on the way. One too many only makes a bake look again.
-fn named_in(file: &Path, line: &str) -> Vec<PathBuf> {
-    let folder = Folder { file };
-    let mut found: Vec<PathBuf> = Vec::new();
-    for (at, _) in line.char_indices().filter(|&(at, _)| at == 0 || line[..at].ends_with(' ')) {
-        for name in [&line[at..], line[at..].split(' ').next().unwrap_or_default()] {
-            let last = name.rsplit(['/', '\\']).next().unwrap_or(name);
-            let plain = [name, last].map(|name| folder.named("", name).ok());
-            let either = [folder.find(name), folder.find(last)].into_iter().chain(plain);
-            for path in either.flatten() {
-                if !found.contains(&path) {
-                    found.push(path);
-                }
-            }
-        }
-    }
-    found
-}
-
-/// What stands behind one of these words at the beginning of a line.
-fn named_after(path: &Path, words: &[&str]) -> std::io::Result<Vec<String>> {
-    let mut reader = BufReader::new(File::open(path)?);
-    let (mut line, mut found) = (Vec::new(), Vec::new());
-    while reader.read_until(b'\n', &mut line)? > 0 {
-        let text = line.trim_ascii_start();
-        if let Some(rest) = words.iter().find_map(|word| text.strip_prefix(word.as_bytes())) {
-            found.push(String::from_utf8_lossy(rest.trim_ascii()).into_owned());
-        }
-        line.clear();
-    }
-    Ok(found)
 }
 
 #[cfg(test)]

@@ -1,5 +1,5 @@
-//! STL, binary or text: triangles without anything else. Normals are worked out anew, as files are
-//! often wrong about them.
+//! STL, binary or text: triangles, in binary files with colours as VisCAM, SolidView or Materialise write them. Normals
+//! are worked out anew, as files are often wrong about them.
 
 use std::fs::File;
 use std::io::{BufRead, BufReader, Read};
@@ -10,14 +10,17 @@ use glam::DVec3;
 use super::builder::{Builder, Paint, Vertices};
 use super::emit::Emitter;
 use super::error::ImportError;
+use super::picture::linear_of;
 use super::place;
-use super::text::{LineError, Lines, excerpt, number, words};
+use super::text::{BYTE_ORDER_MARK, Lines, excerpt, is_utf16, never, number, words};
 use crate::source::{Imported, SourceObject};
 
 /// Makers of parts take z for up; the format itself does not say.
 const UP: [f64; 3] = [0.0, 0.0, 1.0];
 const HEADER_BYTES: u64 = 84;
 const TRIANGLE_BYTES: u64 = 50;
+/// Bytes at the start that show whether a file is text.
+const TEXT_BYTES: usize = 1024;
 
 /// Reads the scene file at `path`. Each solid becomes one object.
 pub(super) fn import(path: &Path, out: Emitter<'_>) -> Result<Imported, ImportError> {
@@ -36,22 +39,21 @@ fn read(
     let unreadable = |source| ImportError::unreadable(file, source);
     let stem = file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
     let mut solids =
-        Solids { file, stem, out, objects: Vec::new(), dropped: 0, points: Vec::new() };
+        Solids { file, stem, out, objects: Vec::new(), dropped: 0, points: vec![], colors: vec![] };
+    let is_text = is_text(reader.fill_buf().map_err(unreadable)?);
     let mut head = Vec::new();
     reader.by_ref().take(HEADER_BYTES).read_to_end(&mut head).map_err(unreadable)?;
     let claimed = head.last_chunk::<4>().filter(|_| head.len() as u64 == HEADER_BYTES);
     let claimed = claimed.map(|count| u64::from(u32::from_le_bytes(*count)));
     let needed = claimed.map(|count| HEADER_BYTES + count * TRIANGLE_BYTES);
-    // Binary files may start with "solid" all the same, so their length decides.
-    let is_text =
-        head.trim_ascii_start().get(..5).is_some_and(|w| w.eq_ignore_ascii_case(b"solid"));
+    // Binary files may start with "solid" all the same, so their length decides first.
     let mut notes = Vec::new();
     match (claimed, needed) {
         (Some(count), Some(needed)) if needed == length || (!is_text && needed < length) => {
             if needed < length {
                 notes.push(format!("{} bytes after the last triangle ignored", length - needed));
             }
-            solids.binary(reader, count)?;
+            solids.binary(&Colors::of(&head), reader, count)?;
         }
         _ if is_text => solids.text(&mut Lines::new((&head[..]).chain(reader)))?,
         (Some(count), _) => {
@@ -72,6 +74,43 @@ fn read(
     out.finish(objects, UP, notes)
 }
 
+/// Whether a file that starts like this is text: binary ones may start with "solid", too, but hold zeros.
+fn is_text(start: &[u8]) -> bool {
+    let start = &start[..start.len().min(TEXT_BYTES)];
+    let text = start.strip_prefix(BYTE_ORDER_MARK).unwrap_or(start).trim_ascii_start();
+    let is_solid = text.get(..5).is_some_and(|word| word.eq_ignore_ascii_case(b"solid"));
+    is_solid && !start.contains(&0) || is_utf16(start)
+}
+
+/// What the last two bytes of a triangle mean.
+enum Colors {
+    /// VisCAM and SolidView: blue, green, red, each five bits from the lowest, where the highest is set.
+    Flagged,
+    /// Materialise: red, green, blue where the highest bit is not set; else that of the header, sRGB-encoded.
+    Header([f64; 3]),
+}
+
+impl Colors {
+    fn of(header: &[u8]) -> Self {
+        const WORD: &[u8] = b"COLOR=";
+        let place = header.windows(WORD.len()).position(|word| word == WORD);
+        match place.and_then(|at| header[at + WORD.len()..].first_chunk::<4>()) {
+            Some([r, g, b, _]) => Self::Header([r, g, b].map(|&lane| f64::from(lane) / 255.0)),
+            None => Self::Flagged,
+        }
+    }
+
+    /// The colour of a triangle, sRGB-encoded, if it has one.
+    fn color(&self, attribute: u16) -> Option<[f64; 3]> {
+        let is_flagged = attribute & 1 << 15 != 0;
+        let lanes = [0, 5, 10].map(|shift| f64::from(attribute >> shift & 31) / 31.0);
+        match self {
+            Self::Flagged => is_flagged.then_some([lanes[2], lanes[1], lanes[0]]),
+            Self::Header(whole) => Some(if is_flagged { *whole } else { lanes }),
+        }
+    }
+}
+
 /// Solids on their way out.
 struct Solids<'a, 's> {
     file: &'a Path,
@@ -82,16 +121,27 @@ struct Solids<'a, 's> {
     dropped: u64,
     /// Corners of the present solid, three a triangle.
     points: Vec<DVec3>,
+    /// Linear, one a triangle, or fewer where the last have none.
+    colors: Vec<[f32; 3]>,
 }
 
 impl Solids<'_, '_> {
-    fn binary(&mut self, reader: &mut impl Read, count: u64) -> Result<(), ImportError> {
+    fn binary(
+        &mut self,
+        colors: &Colors,
+        reader: &mut impl Read,
+        count: u64,
+    ) -> Result<(), ImportError> {
         for triangle in 0..count {
             let mut bytes = [0; TRIANGLE_BYTES as usize];
             reader
                 .read_exact(&mut bytes)
                 .map_err(|source| ImportError::unreadable(self.file, source))?;
-            // The first three numbers are the normal, the last two bytes mean nothing.
+            if let Some(color) = colors.color(u16::from_le_bytes([bytes[48], bytes[49]])) {
+                self.colors.resize(self.points.len() / 3, [1.0; 3]);
+                self.colors.push(color.map(|lane| linear_of(lane) as f32));
+            }
+            // The first three numbers are the normal.
             let lanes = bytes[12..48].as_chunks::<4>().0;
             for corner in lanes.as_chunks::<3>().0 {
                 let point = DVec3::from(corner.map(|lane| f64::from(f32::from_le_bytes(lane))));
@@ -111,26 +161,23 @@ impl Solids<'_, '_> {
         let mut corners = 0;
         let mut last = 0;
         loop {
-            let (at, line) = match lines.next(false) {
-                Ok(Some(line)) => line,
-                Ok(None) => break,
-                Err(LineError::Io(source)) => {
-                    return Err(ImportError::unreadable(self.file, source));
-                }
-                Err(LineError::TooLong { line }) => {
-                    return Err(self.broken(format!("line {line}"), "it is too long".into()));
-                }
-            };
+            let next = lines.next(never).map_err(|error| error.of(self.file))?;
+            let Some((at, line)) = next else { break };
             last = at;
             let mut words = words(line);
             let Some(word) = words.next() else { continue };
+            let mut word = word.to_ascii_lowercase();
+            // Some write "end loop".
+            if matches!(&word[..], b"end" | b"outer") {
+                word.extend(words.next().unwrap_or_default().to_ascii_lowercase());
+            }
             let mut wrong = None;
-            match word.to_ascii_lowercase().as_slice() {
+            match &word[..] {
                 b"solid" if !is_open => {
                     is_open = true;
                     name = String::from_utf8_lossy(line[5..].trim_ascii()).into_owned();
                 }
-                b"facet" | b"outer" | b"endloop" if is_open => {}
+                b"facet" | b"facetnormal" | b"outerloop" | b"endloop" if is_open => {}
                 b"vertex" if is_open => {
                     let lanes: Vec<f64> = words.map_while(number).take(3).collect();
                     match lanes[..] {
@@ -166,6 +213,7 @@ impl Solids<'_, '_> {
     /// Hands out the present solid.
     fn end(&mut self, name: String) -> Result<(), ImportError> {
         let points = std::mem::take(&mut self.points);
+        let colors = std::mem::take(&mut self.colors);
         if points.is_empty() {
             return Ok(());
         }
@@ -173,7 +221,7 @@ impl Solids<'_, '_> {
         let mut builder = Builder::new(name.clone());
         let origin = place::origin(points.iter().copied());
         let triangles = (0..points.len() / 3).map(|t| [3 * t, 3 * t + 1, 3 * t + 2]);
-        let soup = Soup { points: &points, origin };
+        let soup = Soup { points: &points, colors: &colors, origin };
         builder.append(&Paint::PLAIN, &soup, triangles).map_err(|fault| {
             let (what, fix) = fault.explain();
             let at = format!("solid {name:?}");
@@ -195,6 +243,8 @@ impl Solids<'_, '_> {
 /// Corners of flat triangles.
 struct Soup<'a> {
     points: &'a [DVec3],
+    /// Of triangles; white where there is none.
+    colors: &'a [[f32; 3]],
     origin: DVec3,
 }
 
@@ -211,8 +261,9 @@ impl Vertices for Soup<'_> {
         None
     }
 
-    fn color(&self, _: usize) -> [f32; 4] {
-        [1.0; 4]
+    fn color(&self, vertex: usize) -> [f32; 4] {
+        let [r, g, b] = self.colors.get(vertex / 3).copied().unwrap_or([1.0; 3]);
+        [r, g, b, 1.0]
     }
 
     fn tex_coord(&self, _: usize) -> [f32; 2] {
@@ -285,6 +336,60 @@ mod tests {
         longer[..5].fill(b' ');
         longer.extend([1, 2, 3]);
         assert!(parse(&longer).unwrap().notes[0].starts_with("3 bytes"));
+    }
+
+    #[test]
+    fn a_binary_file_may_start_like_text_and_have_bytes_behind() {
+        let mut longer = binary();
+        longer.extend([1, 2, 3]);
+        let source = parse(&longer).unwrap();
+        assert_eq!(source.meshes[0].indices.len(), 1);
+        assert!(source.notes[0].starts_with("3 bytes"), "{:?}", source.notes);
+    }
+
+    #[test]
+    fn words_may_be_written_apart_and_in_any_case() {
+        let apart = TEXT
+            .replace("endloop", "End Loop")
+            .replace("endfacet", "END FACET")
+            .replace("endsolid", "end solid")
+            .replace("outer loop", "outerloop");
+        assert_eq!(parse(apart.as_bytes()).unwrap(), parse(TEXT.as_bytes()).unwrap());
+    }
+
+    #[test]
+    fn text_has_many_encodings() {
+        let whole = parse(TEXT.as_bytes()).unwrap();
+        let marked = [BYTE_ORDER_MARK, TEXT.as_bytes()].concat();
+        assert_eq!(parse(&marked).unwrap(), whole);
+        assert_eq!(parse(TEXT.replace('\n', "\r").as_bytes()).unwrap(), whole);
+        let wide: Vec<u8> = TEXT.encode_utf16().flat_map(u16::to_le_bytes).collect();
+        assert!(error(&wide).contains("UTF-16"));
+    }
+
+    /// The colours of two triangles with these attributes, behind this header.
+    fn colors(header: &[u8], attributes: [u16; 2]) -> Vec<[u8; 4]> {
+        let mut bytes = header.to_vec();
+        bytes.resize(80, b' ');
+        bytes.extend(2u32.to_le_bytes());
+        for (attribute, z) in attributes.into_iter().zip([0.0, 1.0]) {
+            let corners = [0f32, 0.0, 0.0, 0.0, 0.0, z, 1.0, 0.0, z, 0.0, 1.0, z];
+            bytes.extend(corners.iter().flat_map(|lane| lane.to_le_bytes()));
+            bytes.extend(attribute.to_le_bytes());
+        }
+        let mesh = &parse(&bytes).unwrap().meshes[0];
+        mesh.indices.iter().map(|triangle| mesh.colors[triangle[0] as usize]).collect()
+    }
+
+    #[test]
+    fn triangles_have_the_colours_of_their_writers() {
+        let (white, red, blue) = ([255; 4], [255, 0, 0, 255], [0, 0, 255, 255]);
+        assert_eq!(colors(b"VisCAM", [0x8000 | 31 << 10, 0x8000 | 31]), [red, blue]);
+        assert_eq!(colors(b"no colour", [31, 0x8000 | 31]), [white, blue]);
+        assert_eq!(colors(b"no colour", [0x8000 | 31, 31]), [blue, white]);
+        let materialise = b"Magics COLOR=\xFF\x00\x00\xFF,MATERIAL=";
+        assert_eq!(colors(materialise, [0x8000, 31 << 10]), [red, blue]);
+        assert_eq!(colors(materialise, [31, 0xFFFF]), [red, red]);
     }
 
     #[test]

@@ -8,8 +8,10 @@ use super::store::Store;
 
 /// Where a scene file stands, and so what its relative URIs mean.
 pub(super) struct Folder<'a> {
-    /// The scene file.
+    /// The scene file: what stands beside it and below may be read.
     pub(super) file: &'a Path,
+    /// The file that names others, which are looked for beside it: the scene, or what belongs to it.
+    pub(super) by: &'a Path,
 }
 
 impl Folder<'_> {
@@ -64,6 +66,15 @@ impl Folder<'_> {
         self.inside(at, uri, &name)
     }
 
+    /// How many folders below the scene's the file lies that names others.
+    fn depth(&self) -> usize {
+        let below = parent(self.by).canonicalize().ok().and_then(|beside| {
+            let folder = parent(self.file).canonicalize().ok()?;
+            Some(beside.strip_prefix(folder).ok()?.components().count())
+        });
+        below.unwrap_or(0)
+    }
+
     /// The file of this name; `uri` is how the scene spells it.
     fn inside(&self, at: &str, uri: &str, name: &str) -> Result<PathBuf, ImportError> {
         let outside = |why| ImportError::OutsideFolder {
@@ -81,25 +92,20 @@ impl Folder<'_> {
         if name.starts_with(['/', '\\']) {
             return Err(outside("is an absolute path"));
         }
-        if name.split(['/', '\\']).any(|part| part == "..") {
+        if climbs_out(name, self.depth()) {
             return Err(outside("climbs out by \"..\""));
         }
-        if !Path::new(name)
-            .components()
-            .all(|part| matches!(part, Component::Normal(_) | Component::CurDir))
-            || name.contains('\0')
-        {
+        let is_relative =
+            |part| matches!(part, Component::Normal(_) | Component::CurDir | Component::ParentDir);
+        if !Path::new(name).components().all(is_relative) || name.contains('\0') {
             return Err(outside("is no relative path"));
         }
-        let folder = match self.file.parent() {
-            Some(parent) if !parent.as_os_str().is_empty() => parent,
-            _ => Path::new("."),
-        };
-        let target = folder.join(name).canonicalize().map_err(|source| match source.kind() {
+        let (folder, beside) = (parent(self.file), parent(self.by));
+        let target = beside.join(name).canonicalize().map_err(|source| match source.kind() {
             ErrorKind::NotFound | ErrorKind::NotADirectory | ErrorKind::InvalidFilename => {
                 missing()
             }
-            _ => ImportError::Read { file: folder.join(name), source },
+            _ => ImportError::Read { file: beside.join(name), source },
         })?;
         let folder = folder
             .canonicalize()
@@ -110,6 +116,24 @@ impl Folder<'_> {
         // A pipe or a device inside the folder could be read for ever.
         if target.is_file() { Ok(target) } else { Err(missing()) }
     }
+}
+
+/// The folder that a file stands in.
+fn parent(file: &Path) -> &Path {
+    match file.parent() {
+        Some(parent) if !parent.as_os_str().is_empty() => parent,
+        _ => Path::new("."),
+    }
+}
+
+/// Whether a path from a folder that lies so deep leads above what the depth is counted from.
+fn climbs_out(name: &str, depth: usize) -> bool {
+    let step = |depth: usize, part| match part {
+        "" | "." => Some(depth),
+        ".." => depth.checked_sub(1),
+        _ => Some(depth + 1),
+    };
+    name.split(['/', '\\']).try_fold(depth, step).is_none()
 }
 
 /// A URI for a message: whole, unless it is absurdly long.
@@ -217,7 +241,7 @@ mod tests {
         std::fs::write(root.path().join("secret.bin"), b"secret").unwrap();
         std::fs::write(inside.join("deep/my part.bin"), b"part").unwrap();
         let file = inside.join("a.gltf");
-        let folder = Folder { file: &file };
+        let folder = Folder { file: &file, by: &file };
         assert_eq!(folder.read("buffer 0", "deep/my%20part.bin").unwrap(), b"part");
         assert_eq!(
             folder.read("buffer 0", "data:application/octet-stream;base64,Zm9v").unwrap(),
@@ -257,7 +281,7 @@ mod tests {
         std::os::unix::fs::symlink(inside.join("real.bin"), inside.join("near.bin")).unwrap();
         std::os::unix::fs::symlink(root.path().join("secret.bin"), inside.join("far.bin")).unwrap();
         let file = inside.join("a.gltf");
-        let folder = Folder { file: &file };
+        let folder = Folder { file: &file, by: &file };
         assert_eq!(folder.read("buffer 0", "near.bin").unwrap(), b"real");
         assert!(matches!(
             folder.read("buffer 0", "far.bin"),

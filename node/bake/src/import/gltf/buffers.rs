@@ -72,7 +72,7 @@ impl<'a> Resources<'a> {
         let at = format!("buffer {number}");
         let whole = match (&buffer.uri, bin) {
             (Some(uri), _) => {
-                let store = Folder { file: self.file }.open(&at, uri)?;
+                let store = Folder { file: self.file, by: self.file }.open(&at, uri)?;
                 let span = Span { store: self.stores.len(), start: 0, length: store.length() };
                 self.stores.push(store);
                 span
@@ -171,7 +171,7 @@ impl<'a> Resources<'a> {
             );
         };
         let bytes = match (&image.uri, image.buffer_view) {
-            (Some(uri), _) => Folder { file: self.file }.read(&at, uri)?,
+            (Some(uri), _) => Folder { file: self.file, by: self.file }.read(&at, uri)?,
             (None, Some(view)) => self.bytes(self.view(&at, view)?.0)?,
             (None, None) => {
                 return Err(self.broken(&at, "it has neither a URI nor a buffer view".into()));

@@ -1,18 +1,20 @@
-//! Materials of MTL files (Wavefront, *MTL material format*): diffuse colour, its picture, dissolve.
+//! Materials of MTL files (Wavefront, *MTL material format*): diffuse colour, its picture, dissolve. Keywords may be
+//! written in any case.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 
 use super::map::Map;
+use super::names::{self, libraries, locate, may_join, statement};
 use crate::import::builder::Paint;
 use crate::import::emit::Emitter;
 use crate::import::error::ImportError;
-use crate::import::picture::{self, Picture, Square, linear_of};
-use crate::import::text::{LineError, Lines, excerpt, number, words};
-use crate::import::uri::Folder;
-use crate::source::{Alpha, Surface, Texture, Wrap};
+use crate::import::picture::linear_of;
+use crate::import::text::{Lines, data, excerpt, number};
+use crate::import::texture::{self, Had};
+use crate::source::{Alpha, Surface, Wrap};
 
 /// A material in use.
 #[derive(Clone, Debug, PartialEq)]
@@ -51,19 +53,20 @@ impl Material {
 struct Definition {
     /// sRGB-encoded.
     diffuse: Option<[f64; 3]>,
-    dissolve: f64,
+    dissolve: Option<f64>,
+    /// What some write instead, and some beside it with another meaning.
+    transparency: Option<f64>,
     map: Option<Map>,
+    /// Its library.
+    file: PathBuf,
 }
 
 impl Definition {
-    const EMPTY: Self = Self { diffuse: None, dissolve: 1.0, map: None };
-}
-
-/// A picture in use.
-#[derive(Clone, Copy)]
-enum Had {
-    Plain([f64; 3]),
-    Texture { number: u32, mean: [f64; 3] },
+    /// 1 where it hides all behind it. What says how solid it is goes before what says how transparent.
+    fn alpha(&self) -> f64 {
+        let transparent = self.transparency.unwrap_or(0.0);
+        self.dissolve.unwrap_or(1.0 - transparent).clamp(0.0, 1.0)
+    }
 }
 
 /// All materials a scene names.
@@ -73,8 +76,14 @@ pub(super) struct Library<'a> {
     /// Those in use; the first is for faces without one.
     materials: Vec<Material>,
     numbers: BTreeMap<String, usize>,
+    /// Libraries that were read.
+    files: BTreeSet<PathBuf>,
     /// Pictures by file and wrap mode; `None` where one cannot be had.
-    pictures: BTreeMap<(String, bool), Option<Had>>,
+    pictures: BTreeMap<(PathBuf, bool), Option<Had>>,
+    /// Transparency pictures, which are not read.
+    masks: u64,
+    /// Values that are no numbers.
+    ignored: u64,
     /// What was skipped, one sentence each.
     pub(super) notes: Vec<String>,
 }
@@ -87,7 +96,10 @@ impl<'a> Library<'a> {
             definitions: BTreeMap::new(),
             materials: vec![Material::PLAIN],
             numbers: BTreeMap::new(),
+            files: BTreeSet::new(),
             pictures: BTreeMap::new(),
+            masks: 0,
+            ignored: 0,
             notes: Vec::new(),
         }
     }
@@ -129,7 +141,7 @@ impl<'a> Library<'a> {
         let mut diffuse =
             definition.diffuse.unwrap_or([1.0; 3]).map(|v| linear_of(v.clamp(0.0, 1.0)));
         if let Some(map) = &definition.map {
-            match self.picture(name, map, out)? {
+            match self.picture(name, definition, map, out)? {
                 None => {}
                 Some(had) => {
                     // Some exporters write black beside a picture, where they mean the picture.
@@ -149,7 +161,7 @@ impl<'a> Library<'a> {
                 }
             }
         }
-        let alpha = definition.dissolve.clamp(0.0, 1.0);
+        let alpha = definition.alpha();
         let [r, g, b] = diffuse;
         material.paint.color = [r, g, b, alpha];
         let mode = if alpha < 1.0 { Alpha::Blend } else { Alpha::Opaque };
@@ -160,22 +172,29 @@ impl<'a> Library<'a> {
     fn picture(
         &mut self,
         material: &str,
+        definition: &Definition,
         map: &Map,
         out: &mut Emitter<'_>,
     ) -> Result<Option<Had>, ImportError> {
-        let key = (map.file.clone(), map.clamps);
+        let at = format!("material {material:?}");
+        let path = match locate(self.scene, &definition.file, &at, &map.file) {
+            Ok(path) => path,
+            Err(ImportError::MissingResource { .. } | ImportError::OutsideFolder { .. }) => {
+                let why = format!("{:?} is missing in the scene's folder", map.file);
+                self.notes.push(format!("{at}: {why}, its colour alone is used"));
+                return Ok(None);
+            }
+            Err(error) => return Err(error),
+        };
+        let key = (path, map.clamps);
         if let Some(&known) = self.pictures.get(&key) {
             return Ok(known);
         }
-        let at = format!("material {material:?}");
-        let had = match self.load(&at, &map.file, out.limits.texture_side)? {
-            Ok(Picture::Plain([r, g, b, _])) => Some(Had::Plain([r, g, b])),
-            Ok(Picture::Square(Square { side, rgba, mean: [r, g, b, _], .. })) => {
-                let wrap = [if map.clamps { Wrap::Clamp } else { Wrap::Repeat }; 2];
-                let number = out.texture(Texture { name: map.file.clone(), side, rgba, wrap })?;
-                Some(Had::Texture { number, mean: [r, g, b] })
-            }
+        let wrap = [if map.clamps { Wrap::Clamp } else { Wrap::Repeat }; 2];
+        let had = match texture::read(&key.0, &map.file, wrap, out)? {
+            Ok(had) => Some(had),
             Err(why) => {
+                let why = format!("{:?} cannot be decoded ({why})", map.file);
                 self.notes.push(format!("{at}: {why}, its colour alone is used"));
                 None
             }
@@ -184,58 +203,20 @@ impl<'a> Library<'a> {
         Ok(had)
     }
 
-    /// The inner error is why a picture cannot be had.
-    fn load(
-        &self,
-        at: &str,
-        name: &str,
-        largest: u32,
-    ) -> Result<Result<Picture, String>, ImportError> {
-        let path = match self.locate(at, name) {
-            Ok(path) => path,
-            Err(ImportError::MissingResource { .. } | ImportError::OutsideFolder { .. }) => {
-                return Ok(Err(format!("{name:?} is missing in the scene's folder")));
-            }
-            Err(error) => return Err(error),
-        };
-        let bytes =
-            std::fs::read(&path).map_err(|source| ImportError::Read { file: path, source })?;
-        Ok(match picture::decode(&bytes) {
-            Ok(pixels) => Ok(picture::reduce(&pixels, false, largest)),
-            Err(why) => Err(format!("{name:?} cannot be decoded ({why})")),
-        })
-    }
-
-    /// The file of a name in the scene or a library. Modellers write paths of their own machine, and
-    /// put the file beside the scene.
-    fn locate(&self, at: &str, name: &str) -> Result<PathBuf, ImportError> {
-        let folder = Folder { file: self.scene };
-        let name = name.replace('\\', "/");
-        folder.named(at, &name).or_else(|error| match name.rsplit_once('/') {
-            Some((_, last)) => folder.named(at, last),
-            None => Err(error),
-        })
-    }
-
-    /// Reads the libraries of a line; one that is not there leaves a note.
+    /// Reads the libraries of a line, each once; one that is not there leaves a note.
     pub(super) fn read(&mut self, at: u64, names: &str) -> Result<(), ImportError> {
-        let at = format!("line {at}");
-        // A name may hold blanks, and a line may hold several names.
-        let whole = self.locate(&at, names);
-        let all: Vec<(&str, Result<_, _>)> = match whole {
-            Ok(path) => vec![(names, Ok(path))],
-            Err(_) => names.split_whitespace().map(|name| (name, self.locate(&at, name))).collect(),
-        };
-        for (name, path) in all {
+        for (name, path) in libraries(self.scene, &format!("line {at}"), names) {
             match path {
-                Ok(path) => {
+                Ok(path) if self.files.insert(path.clone()) => {
                     let unreadable = |source| ImportError::Read { file: path.clone(), source };
                     let file = File::open(&path).map_err(unreadable)?;
                     self.parse(&path, BufReader::new(file))?;
                     // What was asked for too early may be defined by now.
                     self.numbers.retain(|_, number| *number != 0);
                 }
+                Ok(_) => {}
                 Err(ImportError::MissingResource { .. } | ImportError::OutsideFolder { .. }) => {
+                    let name = excerpt(name.as_bytes());
                     self.notes.push(format!(
                         "{name:?} is missing in the scene's folder, its materials are white"
                     ));
@@ -246,41 +227,42 @@ impl<'a> Library<'a> {
         Ok(())
     }
 
+    /// What was found, and what was left out.
+    pub(super) fn into_notes(self) -> Vec<String> {
+        let mut notes = self.notes;
+        for (count, what) in [
+            (self.masks, "transparency pictures (map_d) ignored"),
+            (self.ignored, "transparencies of materials that are no numbers ignored"),
+        ] {
+            if count > 0 {
+                notes.push(format!("{count} {what}"));
+            }
+        }
+        notes
+    }
+
     fn parse(&mut self, file: &Path, reader: impl BufRead) -> Result<(), ImportError> {
-        let broken = |at: u64, what: String| ImportError::Invalid {
-            file: file.into(),
-            at: format!("line {at}"),
-            what,
-            fix: "export or copy the file again",
-        };
         let mut lines = Lines::new(reader);
         let mut present: Option<&mut Definition> = None;
-        let mut masks = 0u64;
-        loop {
-            let (at, line) = match lines.next(true) {
-                Ok(Some(line)) => line,
-                Ok(None) => break,
-                Err(LineError::Io(source)) => {
-                    return Err(ImportError::Read { file: file.into(), source });
-                }
-                Err(LineError::TooLong { line }) => {
-                    return Err(broken(line, "it is too long".into()));
-                }
-            };
-            let mut words = words(line);
-            let Some(word) = words.next() else { continue };
-            let wrong = || broken(at, format!("\"{}\" is not understood", excerpt(line)));
-            let rest = String::from_utf8_lossy(line[word.len()..].trim_ascii());
+        while let Some((_, line)) = lines.next(may_join).map_err(|error| error.of(file))? {
+            let Some((word, rest)) = statement(line) else { continue };
             if word == b"newmtl" {
-                let entry = self.definitions.entry(rest.into_owned()).or_insert(Definition::EMPTY);
-                *entry = Definition::EMPTY;
+                let empty = Definition {
+                    diffuse: None,
+                    dissolve: None,
+                    transparency: None,
+                    map: None,
+                    file: file.into(),
+                };
+                let entry = self.definitions.entry(names::name(rest)).or_insert(empty.clone());
+                *entry = empty;
                 present = Some(entry);
                 continue;
             }
             let Some(material) = present.as_deref_mut() else { continue };
-            match word {
-                b"Kd" => {
-                    let lanes: Vec<f64> = words.map_while(number).take(3).collect();
+            match &word[..] {
+                b"kd" => {
+                    let lanes: Vec<f64> = data(rest).map_while(number).take(3).collect();
                     match lanes[..] {
                         [r, g, b] => material.diffuse = Some([r, g, b]),
                         // One number stands for all three; spectral curves and XYZ give none.
@@ -288,20 +270,19 @@ impl<'a> Library<'a> {
                         _ => {}
                     }
                 }
-                b"d" => {
-                    let value = words.find(|word| *word != b"-halo").and_then(number);
-                    material.dissolve = value.ok_or_else(wrong)?;
+                b"d" | b"tr" => {
+                    let value = data(rest).find(|word| *word != b"-halo").and_then(number);
+                    self.ignored += u64::from(value.is_none());
+                    let slot = match &word[..] {
+                        b"d" => &mut material.dissolve,
+                        _ => &mut material.transparency,
+                    };
+                    *slot = value.or(*slot);
                 }
-                b"Tr" => {
-                    material.dissolve = 1.0 - words.next().and_then(number).ok_or_else(wrong)?;
-                }
-                b"map_Kd" => material.map = Map::of(&rest),
-                b"map_d" => masks += 1,
+                b"map_kd" => material.map = Map::of(&names::name(rest)),
+                b"map_d" => self.masks += 1,
                 _ => {}
             }
-        }
-        if masks > 0 {
-            self.notes.push(format!("{masks} transparency pictures (map_d) ignored"));
         }
         Ok(())
     }

@@ -45,6 +45,7 @@ pub(super) struct Made {
     /// Where it stands.
     pub(super) origin: DVec3,
     pub(super) mended_normals: u64,
+    pub(super) mended_tex_coords: u64,
 }
 
 impl Faces {
@@ -100,8 +101,8 @@ impl Faces {
             let triangles = triangles.iter().map(|t| t.map(|corner| corner as usize));
             builder.append(&paint, &view, triangles)?;
         }
-        let mended_normals = builder.mended_normals;
-        Ok(Made { draft: builder.finish(), origin, mended_normals })
+        let Builder { mended_normals, mended_tex_coords, .. } = builder;
+        Ok(Made { draft: builder.finish(), origin, mended_normals, mended_tex_coords })
     }
 }
 

@@ -101,15 +101,14 @@ fn colours_of_vertices_are_srgb() {
 fn faults_name_the_line() {
     for (from, to, words) in [
         ("v 1 0 0", "v 1 0", "line 4: \"v 1 0\": 2 numbers"),
-        ("v 1 0 0", "v 1 nan 0", "line 4"),
-        ("vn 0 0 2", "vn 0 0", "line 10"),
+        ("v 1 0 0", "v 1 nan 0", "stands nowhere (line 4)"),
+        ("v 1 0 0", "v 1 x 0", "line 4: \"v 1 x 0\": \"x\" is no number"),
         ("f 1 3 2", "f 1 3 9", "line 19: \"f 1 3 9\": it refers to vertex 9 of the 4 before it"),
         ("f 1 3 2", "f 1 3 0", "vertex 0"),
         ("f 1 3 2", "f 1 3 -5", "vertex -5"),
         ("f 1 3 2", "f 1 3 9223372036854775808", "is no number"),
         ("f 1 3 2", "f 1 3 -9223372036854775808", "refers to vertex"),
-        ("f 1 3 2", "f 1/4 3 2", "texture coordinate 4 of the 3"),
-        ("f 1 3 2", "f 1//2 3 2", "normal 2 of the 1"),
+        ("f 1 3 2", "f 1/x 3 2", "no number of a texture coordinate"),
         ("f 1 3 2", "f 1/1/1/1 3 2", "no corner"),
         ("f 1 3 2", "f x 3 2", "\"x\" is no number"),
         ("# a yard", "\0\0", "line 1"),
@@ -117,6 +116,83 @@ fn faults_name_the_line() {
         let message = error(&SCENE.replacen(from, to, 1));
         assert!(message.contains(words), "{to}: {message}");
     }
+}
+
+#[test]
+fn what_only_serves_looks_may_be_missing_or_no_number() {
+    let square = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv nan 0 0\n";
+    for (rest, word) in [
+        ("vn 0 0\nf 1//1 2//1 3//1\n", "3 normals without a direction"),
+        ("vn nan nan nan\nf 1//1 2//1 3//1\n", "3 normals without a direction"),
+        ("vn\nf 1//1 2//1 3//1\n", "3 normals"),
+        ("f 1//1 2//1 3//9\n", "3 references to normals"),
+        ("vt 0 0\nf 1/1 2/2 3/-2\n", "2 references to normals or texture coordinates"),
+    ] {
+        let source = parse(format!("{square}{rest}").as_bytes()).unwrap();
+        assert_eq!(source.meshes[0].normals, [[0.0, 0.0, 1.0]; 3], "{rest}");
+        assert!(source.notes.join("; ").contains(word), "{rest}: {:?}", source.notes);
+    }
+    let source = parse(b"v 0 0 0 1 0 nan\nv 1 0 0\nv 0 1 0\nf 1 2 3\n").unwrap();
+    assert_eq!(source.meshes[0].colors, [[255; 4]; 3]);
+}
+
+#[test]
+fn lines_are_written_in_many_ways() {
+    let expected = parse(SCENE.as_bytes()).unwrap();
+    let marked = format!("\u{feff}{SCENE}");
+    let commented =
+        SCENE.replace("v 1 0 0\n", "v 1 0 0 # right\n").replace("s off", "# one \\\ns off");
+    for text in [marked, SCENE.replace('\n', "\r"), SCENE.replace('\n', "\r\n"), commented] {
+        assert_eq!(parse(text.as_bytes()).unwrap(), expected, "{text:?}");
+    }
+    let wide: Vec<u8> = SCENE.encode_utf16().flat_map(u16::to_be_bytes).collect();
+    assert!(parse(&wide).unwrap_err().to_string().contains("UTF-16"));
+}
+
+#[test]
+fn transparency_and_dissolve_and_keywords_in_any_case() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("yard.obj");
+    let alpha = |library: &str| {
+        std::fs::write(&file, "mtllib yard.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl a\nf 1 2 3\n")
+            .unwrap();
+        std::fs::write(folder.path().join("yard.mtl"), format!("NewMtl a\n{library}\n")).unwrap();
+        let source = import_all(&file).unwrap();
+        (source.meshes[0].colors[0][3], source.notes.len())
+    };
+    assert_eq!(alpha("D 0.2"), (51, 0));
+    assert_eq!(alpha("tr 0.8"), (51, 0));
+    // The word that is plain goes first, in whatever order.
+    assert_eq!(alpha("Tr 1\nd 1"), (255, 0));
+    assert_eq!(alpha("d 1\nTr 1"), (255, 0));
+    assert_eq!(alpha("d 0.2\nTr 0.2"), (51, 0));
+    // What is no number is said; nothing that is seen is, too.
+    assert_eq!(alpha("d nan"), (255, 1));
+    assert_eq!(alpha("d 0"), (0, 1));
+}
+
+#[test]
+fn libraries_are_read_once_and_their_pictures_lie_beside_them() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("yard.obj");
+    std::fs::create_dir(folder.path().join("lib")).unwrap();
+    let named = "mtllib lib/yard.mtl\n".repeat(20_000);
+    std::fs::write(&file, format!("{named}v 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl a\nf 1 2 3\n"))
+        .unwrap();
+    std::fs::write(folder.path().join("lib/yard.mtl"), "newmtl a\nMAP_KD t.png\n").unwrap();
+    image::RgbaImage::from_pixel(1, 1, image::Rgba([255, 0, 0, 255]))
+        .save(folder.path().join("lib/t.png"))
+        .unwrap();
+    let source = import_all(&file).unwrap();
+    assert_eq!((source.meshes[0].colors[0], source.notes.len()), ([255, 0, 0, 255], 0));
+    assert_eq!(references(&file).unwrap().len(), 2);
+}
+
+#[test]
+fn a_polygon_that_crosses_itself_is_said() {
+    let text = "v 0 0 0\nv 1 1 0\nv 1 0 0\nv 0 1 0\nf 1 2 3 4\n";
+    let notes = parse(text.as_bytes()).unwrap().notes;
+    assert!(notes[0].starts_with("1 polygons that cross"), "{notes:?}");
 }
 
 #[test]

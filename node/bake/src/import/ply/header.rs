@@ -2,8 +2,9 @@
 
 use std::io::BufRead;
 
+use super::texture_name;
 use super::values::ValueError;
-use crate::import::text::{LineError, Lines, excerpt, words};
+use crate::import::text::{LineError, Lines, excerpt, never, words};
 
 /// Lines of the longest header that is read.
 const MOST_LINES: u64 = 10_000;
@@ -88,6 +89,11 @@ impl Property {
     pub(super) fn is_indices(&self) -> bool {
         self.list.is_some() && matches!(self.name.as_str(), "vertex_indices" | "vertex_index")
     }
+
+    /// Whether it lists two coordinates for each of them.
+    pub(super) fn is_tex_coords(&self) -> bool {
+        self.list.is_some() && self.name == "texcoord"
+    }
 }
 
 /// What an element is read for.
@@ -95,6 +101,7 @@ impl Property {
 pub(super) enum Kind {
     Vertex,
     Face,
+    Strips,
     Other,
 }
 
@@ -112,6 +119,7 @@ impl Element {
         match self.name.as_str() {
             "vertex" => Kind::Vertex,
             "face" if self.properties.iter().any(Property::is_indices) => Kind::Face,
+            "tristrips" if self.properties.iter().any(Property::is_indices) => Kind::Strips,
             _ => Kind::Other,
         }
     }
@@ -122,14 +130,21 @@ impl Element {
 pub(super) struct Header {
     pub(super) encoding: Encoding,
     pub(super) elements: Vec<Element>,
-    /// Whether a comment names a texture.
-    pub(super) has_texture: bool,
+    /// The files that comments name as textures.
+    pub(super) textures: Vec<String>,
 }
 
 impl Header {
-    /// The faces, if there can be any.
-    pub(super) fn faces(&self) -> Option<&Element> {
-        self.elements.iter().find(|element| element.kind() == Kind::Face)
+    /// Whether there can be no triangles.
+    pub(super) fn has_no_faces(&self) -> bool {
+        let is_face = |element: &Element| matches!(element.kind(), Kind::Face | Kind::Strips);
+        !self.elements.iter().any(|element| is_face(element) && element.count > 0)
+    }
+
+    /// Lines that follow where each element stands in one.
+    pub(super) fn lines(&self) -> u64 {
+        let with_properties = self.elements.iter().filter(|element| !element.properties.is_empty());
+        with_properties.fold(0, |sum, element| sum.saturating_add(element.count))
     }
 }
 
@@ -138,9 +153,9 @@ pub(super) fn read(reader: impl BufRead) -> Result<Header, ValueError> {
     let mut lines = Lines::new(reader);
     let mut encoding = None;
     let mut elements: Vec<Element> = Vec::new();
-    let mut has_texture = false;
+    let mut textures = Vec::new();
     loop {
-        let (at, line) = match lines.next(false) {
+        let (at, line) = match lines.next(never) {
             Ok(Some((at, line))) if line.len() <= LONGEST_LINE => (at, line.to_vec()),
             Ok(Some(_)) | Err(LineError::TooLong { .. }) => {
                 return Err(ValueError::Broken("a line of it is too long".into()));
@@ -148,7 +163,7 @@ pub(super) fn read(reader: impl BufRead) -> Result<Header, ValueError> {
             Ok(None) => {
                 return Err(ValueError::Broken("the file ends before end_header".into()));
             }
-            Err(LineError::Io(source)) => return Err(ValueError::Io(source)),
+            Err(error) => return Err(ValueError::Import(error)),
         };
         let wrong = |why: &str| {
             Err(ValueError::Broken(format!("line {at}, \"{}\", {why}", excerpt(&line))))
@@ -168,15 +183,15 @@ pub(super) fn read(reader: impl BufRead) -> Result<Header, ValueError> {
                     _ => return wrong("names an unknown format"),
                 });
             }
-            (_, [b"comment" | b"obj_info", rest @ ..]) => {
-                has_texture |= rest.first().is_some_and(|w| w.eq_ignore_ascii_case(b"TextureFile"));
+            (_, [word @ (b"comment" | b"obj_info"), ..]) => {
+                textures.extend(texture_name(line[word.len()..].trim_ascii()));
             }
             (_, []) => {}
             (_, [b"element", name, count]) => {
                 let count = std::str::from_utf8(count).ok().and_then(|count| count.parse().ok());
                 let Some(count) = count else { return wrong("has no count") };
                 let name = String::from_utf8_lossy(name).into_owned();
-                if matches!(name.as_str(), "vertex" | "face")
+                if matches!(name.as_str(), "vertex" | "face" | "tristrips")
                     && elements.iter().any(|element| element.name == name)
                 {
                     return wrong("comes twice");
@@ -209,7 +224,7 @@ pub(super) fn read(reader: impl BufRead) -> Result<Header, ValueError> {
         }
     }
     match encoding {
-        Some(encoding) => Ok(Header { encoding, elements, has_texture }),
+        Some(encoding) => Ok(Header { encoding, elements, textures }),
         None => Err(ValueError::Broken("it has no line \"format\"".into())),
     }
 }

@@ -1,270 +1,148 @@
 //! PLY, as text or binary of either byte order (Turk 1994, *The PLY Polygon File Format*): one mesh.
 //!
-//! Vertices may have normals and colours; faces are polygons of any size. Colours are taken as
-//! sRGB-encoded, as scanners and modellers write them. Everything else is read past.
+//! Vertices may have normals, colours and texture coordinates; faces are polygons of any size or strips of triangles,
+//! and may have colours and texture coordinates of their own. Colours are taken as sRGB-encoded, as scanners and
+//! modellers write them. Everything else is read past. In text an element stands in a line, and what is left of that
+//! is not read; where there are fewer lines than elements, numbers follow each other as they come.
 
+mod cloud;
 mod header;
 mod values;
 
 use std::fs::File;
-use std::io::{BufRead, BufReader};
-use std::path::Path;
+use std::io::{self, BufRead, BufReader};
+use std::path::{Path, PathBuf};
 
-use glam::DVec3;
-
-use self::header::{Element, Header, Kind};
+use self::cloud::{Cloud, FaceSlots, VertexSlots};
+use self::header::{Encoding, Kind};
 use self::values::{ValueError, Values};
-use super::builder::{Builder, Paint, Vertices};
 use super::emit::Emitter;
 use super::error::ImportError;
-use super::picture::linear_of;
-use super::place;
-use super::polygon::triangulate;
-use crate::source::{Alpha, Imported, Surface};
+use super::text::words;
+use super::uri::Folder;
+use crate::source::Imported;
 
 /// Scanners and modellers take z for up; the format itself does not say.
 const UP: [f64; 3] = [0.0, 0.0, 1.0];
 
 /// Reads the scene file at `path`.
 pub(super) fn import(path: &Path, out: Emitter<'_>) -> Result<Imported, ImportError> {
-    let file = File::open(path).map_err(|source| ImportError::unreadable(path, source))?;
-    read(path, BufReader::new(file), out)
+    read(path, || Ok(BufReader::new(File::open(path)?)), out)
 }
 
-fn read(
+/// The pictures that the scene file at `path` refers to, whatever its importer makes of them.
+pub(super) fn references(path: &Path) -> Result<Vec<PathBuf>, ImportError> {
+    let unreadable = |source| ImportError::unreadable(path, source);
+    let reader = BufReader::new(File::open(path).map_err(unreadable)?);
+    match header::read(reader) {
+        Ok(header) => {
+            Ok(header.textures.iter().filter_map(|name| picture(path, name).ok()).collect())
+        }
+        Err(ValueError::Io(source)) => Err(unreadable(source)),
+        // The importer's to judge.
+        Err(ValueError::Broken(_) | ValueError::Import(_)) => Ok(Vec::new()),
+    }
+}
+
+/// The file of a texture's name.
+fn picture(scene: &Path, name: &str) -> Result<PathBuf, ImportError> {
+    Folder { file: scene, by: scene }.named("header", &name.replace('\\', "/"))
+}
+
+/// `open` opens the file at its beginning.
+fn read<R: BufRead>(
     file: &Path,
-    mut reader: impl BufRead,
+    open: impl Fn() -> io::Result<R>,
     mut out: Emitter<'_>,
 ) -> Result<Imported, ImportError> {
     let invalid =
         |at: String, what: String, fix| ImportError::Invalid { file: file.into(), at, what, fix };
     let broken = |at: String, what: String| invalid(at, what, "export or copy the file again");
+    let unreadable = |source| ImportError::unreadable(file, source);
     let fault = |at: &str, error: ValueError| match error {
-        ValueError::Io(source) => ImportError::unreadable(file, source),
+        ValueError::Io(source) => unreadable(source),
         ValueError::Broken(what) => broken(at.to_owned(), what),
+        ValueError::Import(error) => error.of(file),
     };
+    let mut reader = open().map_err(unreadable)?;
     let header = header::read(&mut reader).map_err(|error| fault("header", error))?;
-    if header.faces().is_none_or(|faces| faces.count == 0) {
+    if header.has_no_faces() {
         return Err(invalid(
             "header".into(),
             "it has vertices and no faces: it is a point cloud".into(),
             "make a surface of it first, for example with MeshLab or CloudCompare",
         ));
     }
-    let mut notes = Vec::new();
-    if header.has_texture {
-        notes.push("textures of PLY files ignored".into());
-    }
-    let mut values = Values::new(reader, header.encoding);
+    let by_line = header.encoding == Encoding::Text
+        && lines(&mut reader).map_err(unreadable)? >= header.lines();
+    let mut reader = open().map_err(unreadable)?;
+    header::read(&mut reader).map_err(|error| fault("header", error))?;
+
+    let mut values = Values::new(reader, header.encoding, by_line);
     let mut cloud = Cloud::new(&header);
     for element in &header.elements {
         let at = |place: u64| format!("{} {place}", element.name);
-        match element.kind() {
-            Kind::Vertex => {
-                let slots = Slots::of(element).map_err(|what| broken("header".into(), what))?;
-                for place in 0..element.count {
-                    let vertex = slots.read(element, &mut values);
-                    let vertex = vertex.map_err(|error| fault(&at(place), error))?;
-                    cloud.push(vertex).map_err(|what| broken(at(place), what))?;
-                }
-            }
-            Kind::Face => {
-                for place in 0..element.count {
-                    let face = cloud.face(element, &mut values);
-                    face.map_err(|error| fault(&at(place), error))?;
-                }
-            }
-            Kind::Other => {
-                // An element without properties takes no bytes, however many there are.
-                for place in 0..if element.properties.is_empty() { 0 } else { element.count } {
-                    let skipped = element.properties.iter().try_for_each(|p| values.skip(p));
-                    skipped.map_err(|error| fault(&at(place), error))?;
-                }
-            }
+        // An element without properties takes no bytes, however many there are.
+        let count = if element.properties.is_empty() { 0 } else { element.count };
+        let vertex = VertexSlots::of(element);
+        let face = FaceSlots::of(element);
+        if element.kind() == Kind::Vertex {
+            vertex.check().map_err(|what| broken("header".into(), what))?;
+        }
+        for place in 0..count {
+            let read = values.begin().and_then(|()| match element.kind() {
+                Kind::Vertex => cloud.vertex(&vertex, element, &mut values),
+                Kind::Face => cloud.face(&face, element, &mut values),
+                Kind::Strips => cloud.strips(element, &mut values),
+                Kind::Other => element.properties.iter().try_for_each(|p| values.skip(p)),
+            });
+            read.map_err(|error| fault(&at(place), error))?;
         }
     }
+    // What follows the last element.
+    values.begin().map_err(|error| fault("end", error))?;
+    let leftover = values.leftover_lines();
     let name = file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-    let mut builder = Builder::new(name.clone());
-    let triangles = std::mem::take(&mut cloud.triangles);
-    let used = triangles.as_flattened().iter().map(|&index| cloud.points[index as usize]);
-    cloud.origin = place::origin(used);
-    let paint =
-        Paint { surface: Surface { alpha: Alpha::Blend, ..Surface::PLAIN }, ..Paint::PLAIN };
-    let corners = triangles.iter().map(|t| t.map(|index| index as usize));
-    builder.append(&paint, &cloud, corners).map_err(|fault| {
-        let (what, fix) = fault.explain();
-        invalid("faces".into(), what, fix)
-    })?;
-    let (origin, too_few) = (cloud.origin, cloud.too_few);
-    drop((cloud, triangles));
-    for (count, what) in [
-        (builder.dropped_degenerate(), "degenerate triangles left out"),
-        (builder.mended_normals, "normals without a direction replaced by those of faces"),
-        (too_few, "faces of fewer than three corners skipped"),
-    ] {
-        if count > 0 {
-            notes.push(format!("{count} {what}"));
-        }
+    let made = cloud.finish(file, &name, &header.textures, &mut out)?;
+    let mut notes = made.notes;
+    if leftover > 0 {
+        notes.push(format!(
+            "{leftover} lines longer than the header says, the rest of them ignored"
+        ));
     }
-    let mesh = out.mesh(builder.finish())?;
-    out.finish(vec![place::placed(name, mesh, origin)], UP, notes)
+    let mesh = out.mesh(made.draft)?;
+    out.finish(vec![super::place::placed(name, mesh, made.origin)], UP, notes)
 }
 
-/// What a vertex may have, by the place of the property that holds it.
-const LANES: [&[&str]; 10] = [
-    &["x"],
-    &["y"],
-    &["z"],
-    &["nx", "normal_x"],
-    &["ny", "normal_y"],
-    &["nz", "normal_z"],
-    &["red", "diffuse_red", "r"],
-    &["green", "diffuse_green", "g"],
-    &["blue", "diffuse_blue", "b"],
-    &["alpha", "diffuse_alpha", "a"],
-];
-
-/// Which property of a vertex is which lane, by property.
-struct Slots(Vec<Option<(usize, f64)>>);
-
-impl Slots {
-    fn of(element: &Element) -> Result<Self, String> {
-        let mut found = [false; LANES.len()];
-        let slot = |property: &header::Property| {
-            let lane = LANES.iter().position(|names| names.contains(&property.name.as_str()))?;
-            if property.list.is_some() || std::mem::replace(&mut found[lane], true) {
-                return None;
-            }
-            let full = if lane < 6 { 1.0 } else { property.scalar.full() };
-            Some((lane, full))
-        };
-        let slots = element.properties.iter().map(slot).collect();
-        match found[..3].iter().position(|found| !found) {
-            None => Ok(Self(slots)),
-            Some(lane) => Err(format!("its vertices have no {}", LANES[lane][0])),
+/// Lines with something in them, to the end.
+fn lines(reader: &mut impl BufRead) -> io::Result<u64> {
+    let (mut count, mut is_blank) = (0, true);
+    loop {
+        let bytes = reader.fill_buf()?;
+        if bytes.is_empty() {
+            return Ok(count);
         }
-    }
-
-    fn read(
-        &self,
-        element: &Element,
-        values: &mut Values<impl BufRead>,
-    ) -> Result<[f64; LANES.len()], ValueError> {
-        let mut lanes = [1.0; LANES.len()];
-        for (property, slot) in element.properties.iter().zip(&self.0) {
-            match slot {
-                Some((lane, full)) => lanes[*lane] = values.scalar(property.scalar)? / full,
-                None => values.skip(property)?,
-            }
-        }
-        Ok(lanes)
-    }
-}
-
-/// What has been read.
-struct Cloud {
-    points: Vec<DVec3>,
-    /// One a point, or none at all.
-    normals: Vec<[f32; 3]>,
-    /// As stored, one a point, or none at all.
-    colors: Vec<[f32; 4]>,
-    has: [bool; 2],
-    triangles: Vec<[u32; 3]>,
-    origin: DVec3,
-    too_few: u64,
-}
-
-impl Cloud {
-    fn new(header: &Header) -> Self {
-        let vertex = header.elements.iter().find(|element| element.kind() == Kind::Vertex);
-        let has = |lanes: &[&[&str]]| {
-            lanes.iter().all(|names| {
-                vertex
-                    .is_some_and(|v| v.properties.iter().any(|p| names.contains(&p.name.as_str())))
-            })
-        };
-        Self {
-            points: Vec::new(),
-            normals: Vec::new(),
-            colors: Vec::new(),
-            has: [has(&LANES[3..6]), has(&LANES[6..9])],
-            triangles: Vec::new(),
-            origin: DVec3::ZERO,
-            too_few: 0,
-        }
-    }
-
-    fn push(&mut self, lanes: [f64; LANES.len()]) -> Result<(), String> {
-        let point = DVec3::new(lanes[0], lanes[1], lanes[2]);
-        if !point.is_finite() {
-            return Err(format!("it stands at {point}"));
-        }
-        self.points.push(point);
-        let [has_normals, has_colors] = self.has;
-        if has_normals {
-            self.normals.push([3, 4, 5].map(|lane| lanes[lane] as f32));
-        }
-        if has_colors {
-            self.colors.push([6, 7, 8, 9].map(|lane| lanes[lane] as f32));
-        }
-        Ok(())
-    }
-
-    fn face(
-        &mut self,
-        element: &Element,
-        values: &mut Values<impl BufRead>,
-    ) -> Result<(), ValueError> {
-        let mut corners: Vec<u32> = Vec::new();
-        for property in &element.properties {
-            match property.list {
-                Some(length) if property.is_indices() => {
-                    for _ in 0..values.length(length)? {
-                        corners.push(self.index(values.scalar(property.scalar)?)?);
-                    }
+        for byte in bytes {
+            match byte {
+                b'\n' | b'\r' => is_blank = true,
+                byte if is_blank && !byte.is_ascii_whitespace() => {
+                    is_blank = false;
+                    count += 1;
                 }
-                _ => values.skip(property)?,
+                _ => {}
             }
         }
-        self.too_few += u64::from(corners.len() < 3);
-        let points: Vec<DVec3> = corners.iter().map(|&i| self.points[i as usize]).collect();
-        self.triangles.extend(triangulate(&points).iter().map(|t| t.map(|place| corners[place])));
-        Ok(())
-    }
-
-    fn index(&self, value: f64) -> Result<u32, ValueError> {
-        // A cast saturates, and what is no whole number or below zero comes back changed.
-        let index = value as u32;
-        if f64::from(index) == value && (index as usize) < self.points.len() {
-            return Ok(index);
-        }
-        let has = self.points.len();
-        Err(ValueError::Broken(format!("it refers to vertex {value} of the {has} before it")))
+        let read = bytes.len();
+        reader.consume(read);
     }
 }
 
-impl Vertices for Cloud {
-    fn count(&self) -> usize {
-        self.points.len()
-    }
-
-    fn position(&self, vertex: usize) -> [f64; 3] {
-        place::relative(self.points[vertex], self.origin)
-    }
-
-    fn normal(&self, vertex: usize) -> Option<[f32; 3]> {
-        self.normals.get(vertex).copied()
-    }
-
-    fn color(&self, vertex: usize) -> [f32; 4] {
-        let Some(&[r, g, b, alpha]) = self.colors.get(vertex) else { return [1.0; 4] };
-        let [r, g, b] = [r, g, b].map(|lane| linear_of(f64::from(lane).clamp(0.0, 1.0)) as f32);
-        [r, g, b, alpha]
-    }
-
-    fn tex_coord(&self, _: usize) -> [f32; 2] {
-        [0.0; 2]
-    }
+/// The name behind the words that name a texture, if these words do.
+fn texture_name(comment: &[u8]) -> Option<String> {
+    let word = words(comment).next()?;
+    let name = &comment[word.len()..].trim_ascii();
+    let is_texture = word.eq_ignore_ascii_case(b"TextureFile") && !name.is_empty();
+    is_texture.then(|| String::from_utf8_lossy(name).into_owned())
 }
 
 #[cfg(test)]

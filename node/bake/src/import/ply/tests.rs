@@ -1,6 +1,7 @@
 use super::*;
 use crate::import::testing::{TEXTURE_SIDE, check, collect};
-use crate::source::Source;
+use crate::source::{Alpha, Source, Surface};
+use glam::DVec3;
 use proptest::prelude::*;
 
 /// A square with colours, normals and something unknown of every kind; then an element nobody knows.
@@ -11,7 +12,7 @@ const TEXT: &str = "ply\nformat ascii 1.0\ncomment made by hand\nelement vertex 
     0 0 0 9 255 0 188 0\n1 0 0 9 255 0 188 1 7\n1 1 0 9 255 0 188 2 7 7\n0 1 0 9 255 0 188 0\n3 4 0 1 2 3\n5\n";
 
 fn parse(bytes: &[u8]) -> Result<Source, ImportError> {
-    collect("scan.ply", |out| read(Path::new("scan.ply"), bytes, out))
+    collect("scan.ply", |out| read(Path::new("scan.ply"), || Ok(bytes), out))
 }
 
 fn error(bytes: &[u8]) -> String {
@@ -89,8 +90,9 @@ fn faults_name_the_element() {
         ("property double z", "property double w", "vertices have no z"),
         ("element vertex 4", "property int a", "before any element"),
         ("element vertex 4", "element vertex 99999999999999999", "vertex 4: the file ends"),
-        ("1 1 0 9", "1 nan 0 9", "vertex 2: \"nan\""),
-        ("1 1 0 9", "1 1e999 0 9", "vertex 2: \"1e999\""),
+        ("1 1 0 9", "1 nan 0 9", "face 0: it refers to vertex 2, which stands at [1, NaN, 0]"),
+        ("1 1 0 9", "1 1e999 0 9", "vertex 2, which stands at [1, inf, 0]"),
+        ("1 1 0 9", "1 x 0 9", "vertex 2: \"x\" is no number"),
         ("3 4 0 1 2 3", "3 4 0 1 2 4", "face 0: it refers to vertex 4 of the 4"),
         ("3 4 0 1 2 3", "3 4 0 1 2 -1", "face 0: it refers to vertex -1"),
         ("3 4 0 1 2 3", "3 255 0 1 2 3", "face 0: it refers to vertex 5 of the 4"),
@@ -120,6 +122,114 @@ fn sizes_far_from_one_keep_their_triangles() {
         let source = parse(text.as_bytes()).unwrap();
         assert_eq!(source.meshes[0].indices.len(), 2, "{size}");
     }
+}
+
+/// A text of these elements and lines: vertices have `lanes` floats.
+fn text(lanes: &str, faces: &str, lines: &[&str]) -> String {
+    let (vertices, rest) = (4, lines.len() - 4);
+    let lanes: String = lanes.split(' ').map(|lane| format!("property float {lane}\n")).collect();
+    format!(
+        "ply\nformat ascii 1.0\ncomment TextureFile wall.png\nelement vertex {vertices}\n{lanes}element {} {rest}\n{}end_header\n{}\n",
+        faces.split_once('\n').unwrap().0,
+        faces.split_once('\n').unwrap().1,
+        lines.join("\n")
+    )
+}
+
+const SQUARE: [&str; 4] = ["0 0 0", "1 0 0", "1 1 0", "0 1 0"];
+const FACE: &str = "face\nproperty list uchar int vertex_indices\n";
+
+#[test]
+fn what_is_left_of_a_line_is_not_read_and_said() {
+    let whole =
+        parse(text("x y z", FACE, &[&SQUARE[..], &["3 0 1 2", "3 0 2 3"]].concat()).as_bytes());
+    let whole = whole.unwrap();
+    let longer =
+        [&["0 0 0 9 9", "1 0 0", "1 1 0", "0 1 0"][..], &["3 0 1 2 255 0 0", "3 0 2 3 7"]].concat();
+    let source = parse(text("x y z", FACE, &longer).as_bytes()).unwrap();
+    assert_eq!(source.meshes, whole.meshes);
+    let note = source.notes.iter().find(|note| note.contains("longer")).unwrap();
+    assert!(note.starts_with("3 lines"), "{note}");
+    // In fewer lines than elements numbers follow each other.
+    let joined = ["0 0 0 1 0 0", "1 1", "0 0 1 0 3 0 1", "2 3 0", "2 3"];
+    let header = text("x y z", FACE, &[&SQUARE[..], &["", ""]].concat());
+    let header = &header[..header.find("end_header\n").unwrap() + 11];
+    let source = parse(format!("{header}{}", joined.join("\n")).as_bytes()).unwrap();
+    assert_eq!(source.meshes, whole.meshes);
+    assert!(!source.notes.iter().any(|note| note.contains("longer")));
+}
+
+#[test]
+fn what_only_serves_looks_and_is_no_number_is_mended() {
+    let lines = [
+        "0 0 0 nan nan nan 1 0 0",
+        "1 0 0 0 0 1 nan 0 0",
+        "1 1 0 0 0 1 1 0 0",
+        "nan 1 0 0 0 1 1 0 0",
+        "3 0 1 2",
+    ];
+    let source = parse(text("x y z nx ny nz red green blue", FACE, &lines).as_bytes()).unwrap();
+    let mesh = &source.meshes[0];
+    assert_eq!(mesh.normals, [[0.0, 0.0, 1.0]; 3]);
+    assert_eq!(mesh.colors, [[255, 0, 0, 255], [255; 4], [255, 0, 0, 255]]);
+    assert!(source.notes.iter().any(|note| note.starts_with("1 normals")), "{:?}", source.notes);
+}
+
+#[test]
+fn strips_are_triangles_that_wind_alike() {
+    let strips = "tristrips\nproperty list int int vertex_indices\n";
+    let lines = [&SQUARE[..], &["8 0 1 3 2 -1 0 1 2"]].concat();
+    let mesh = &parse(text("x y z", strips, &lines).as_bytes()).unwrap().meshes[0];
+    assert_eq!(mesh.indices.len(), 3);
+    assert!(mesh.normals.iter().all(|normal| *normal == [0.0, 0.0, 1.0]), "{:?}", mesh.normals);
+}
+
+#[test]
+fn faces_have_colours_of_their_own() {
+    let faces = format!("{FACE}property uchar red\nproperty uchar green\nproperty uchar blue\n");
+    let lines = [&SQUARE[..], &["3 0 1 2 255 0 0", "3 0 2 3 0 0 255"]].concat();
+    let mesh = &parse(text("x y z", &faces, &lines).as_bytes()).unwrap().meshes[0];
+    let colors = mesh.indices.iter().map(|t| t.map(|corner| mesh.colors[corner as usize]));
+    let colors: Vec<_> = colors.collect();
+    assert_eq!(colors, [[[255, 0, 0, 255]; 3], [[0, 0, 255, 255]; 3]]);
+}
+
+#[test]
+fn textures_lie_as_vertices_or_faces_say() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("scan.ply");
+    let at = |text: String| {
+        std::fs::write(&file, text).unwrap();
+        crate::import::import_all(&file).unwrap()
+    };
+    let by_vertex = || {
+        let lines = ["0 0 0 0 0", "1 0 0 1 0", "1 1 0 1 1", "0 1 0 0 1", "4 0 1 2 3"];
+        text("x y z s t", FACE, &lines)
+    };
+    let missing = at(by_vertex());
+    assert!(missing.notes.iter().any(|note| note.contains("\"wall.png\" is missing")));
+    let picture = image::RgbaImage::from_fn(2, 2, |x, _| image::Rgba([255 * x as u8, 0, 0, 255]));
+    picture.save(folder.path().join("wall.png")).unwrap();
+    assert_eq!(
+        references(&file).unwrap(),
+        [folder.path().join("wall.png").canonicalize().unwrap()]
+    );
+
+    let source = at(by_vertex());
+    let mesh = &source.meshes[0];
+    assert_eq!(source.surfaces[usize::from(mesh.sections[0].surface)].texture, Some(0));
+    // Rows of the picture count from the top.
+    assert_eq!(mesh.tex_coords, [[0.0, 1.0], [1.0, 1.0], [1.0, 0.0], [0.0, 0.0]]);
+
+    let faces = format!("{FACE}property list uchar float texcoord\nproperty int texnumber\n");
+    let lines =
+        [&SQUARE[..], &["3 0 1 2 6 0.5 0 1 0 1 0.25 0", "3 0 2 3 6 0 0 1 1 0 1 0"]].concat();
+    let source = at(text("x y z", &faces, &lines));
+    let mesh = &source.meshes[0];
+    let first = mesh.indices[0].map(|corner| mesh.tex_coords[corner as usize]);
+    assert_eq!(first, [[0.5, 1.0], [1.0, 1.0], [1.0, 0.75]]);
+    let none = at(text("x y z", FACE, &[&SQUARE[..], &["3 0 1 2"]].concat()));
+    assert!(none.notes[0].contains("no texture coordinates"), "{:?}", none.notes);
 }
 
 #[test]

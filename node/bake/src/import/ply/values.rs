@@ -3,7 +3,7 @@
 use std::io::{self, BufRead, ErrorKind};
 
 use super::header::{Encoding, Property, Scalar};
-use crate::import::text::{excerpt, number};
+use crate::import::text::{LineError, excerpt};
 
 /// Why the next number cannot be had.
 #[derive(Debug)]
@@ -12,6 +12,8 @@ pub(super) enum ValueError {
     Io(io::Error),
     /// What is wrong with the file.
     Broken(String),
+    /// Why a line of the header cannot be had.
+    Import(LineError),
 }
 
 /// The longest word that is taken for a number, in bytes.
@@ -22,20 +24,51 @@ pub(super) struct Values<R> {
     reader: R,
     encoding: Encoding,
     word: Vec<u8>,
+    /// Each element begins a line.
+    by_line: bool,
+    /// Something of the present line has been read, and its end has not.
+    is_in_line: bool,
+    leftover: u64,
 }
 
 impl<R: BufRead> Values<R> {
-    /// `reader` stands behind the header.
-    pub(super) fn new(reader: R, encoding: Encoding) -> Self {
-        Self { reader, encoding, word: Vec::new() }
+    /// `reader` stands behind the header; `by_line` says that each element begins a line.
+    pub(super) fn new(reader: R, encoding: Encoding, by_line: bool) -> Self {
+        Self { reader, encoding, word: Vec::new(), by_line, is_in_line: false, leftover: 0 }
     }
 
-    /// The next number, of this type.
+    /// Lines that went on behind their element.
+    pub(super) fn leftover_lines(&self) -> u64 {
+        self.leftover
+    }
+
+    /// Goes on to the next element: what is left of a line is not read.
+    pub(super) fn begin(&mut self) -> Result<(), ValueError> {
+        if !self.by_line || !std::mem::take(&mut self.is_in_line) {
+            return Ok(());
+        }
+        let mut is_more = false;
+        loop {
+            let bytes = self.reader.fill_buf().map_err(ValueError::Io)?;
+            let end = bytes.iter().position(is_line_end);
+            let rest = &bytes[..end.unwrap_or(bytes.len())];
+            is_more |= rest.iter().any(|byte| !byte.is_ascii_whitespace());
+            let (read, is_end) = (rest.len(), end.is_some() || bytes.is_empty());
+            self.reader.consume(read);
+            if is_end {
+                self.leftover += u64::from(is_more);
+                return Ok(());
+            }
+        }
+    }
+
+    /// The next number, of this type; it may be none, or infinite.
     pub(super) fn scalar(&mut self, scalar: Scalar) -> Result<f64, ValueError> {
         if self.encoding == Encoding::Text {
             self.next_word()?;
-            return number(&self.word).ok_or_else(|| {
-                ValueError::Broken(format!("\"{}\" is no finite number", excerpt(&self.word)))
+            let value = std::str::from_utf8(&self.word).ok().and_then(|text| text.parse().ok());
+            return value.ok_or_else(|| {
+                ValueError::Broken(format!("\"{}\" is no number", excerpt(&self.word)))
             });
         }
         let mut bytes = [0; 8];
@@ -78,7 +111,10 @@ impl<R: BufRead> Values<R> {
             Some(length) => self.length(length)?,
             None => 1,
         };
-        (0..count).try_for_each(|_| self.scalar(property.scalar).map(drop))
+        (0..count).try_for_each(|_| match self.encoding {
+            Encoding::Text => self.next_word(),
+            _ => self.scalar(property.scalar).map(drop),
+        })
     }
 
     fn next_word(&mut self) -> Result<(), ValueError> {
@@ -99,6 +135,7 @@ impl<R: BufRead> Values<R> {
             let length = bytes.iter().position(blank);
             let taken = length.unwrap_or(bytes.len());
             self.word.extend_from_slice(&bytes[..taken]);
+            self.is_in_line = true;
             self.reader.consume(taken);
             if self.word.len() > LONGEST_WORD {
                 let what = format!("\"{}\" is no number", excerpt(&self.word));
@@ -109,6 +146,10 @@ impl<R: BufRead> Values<R> {
             }
         }
     }
+}
+
+fn is_line_end(byte: &u8) -> bool {
+    matches!(byte, b'\n' | b'\r')
 }
 
 fn ended() -> ValueError {
