@@ -24,6 +24,7 @@ mod slice;
 pub mod source;
 mod spool;
 pub mod summary;
+pub mod survey;
 pub mod synth;
 mod work;
 

@@ -74,6 +74,20 @@ pub fn import(
     }
 }
 
+/// What the format of the scene file at `path` is called.
+///
+/// # Errors
+///
+/// Where it cannot be read, or is in no known format.
+pub fn format_name(path: &Path) -> Result<&'static str, ImportError> {
+    Ok(match Format::of(path)? {
+        Format::Gltf => "glTF 2.0",
+        Format::Obj => "OBJ",
+        Format::Ply => "PLY",
+        Format::Stl => "STL",
+    })
+}
+
 /// Reads the scene file at `path` as a whole, with the default limits.
 #[cfg(test)]
 fn import_all(path: &Path) -> Result<Source, ImportError> {
