@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 
 /// Counts up whenever a bake of the same sources and settings would write other bytes, or files of the
 /// working folder would be read in another way.
-const BAKE_VERSION: u32 = 6;
+const BAKE_VERSION: u32 = 7;
 
 /// Bytes of a file that are read at once.
 const DIGEST_BYTES: usize = 4 << 20;

@@ -176,6 +176,17 @@ fn what_only_serves_looks_and_is_no_number_is_mended() {
 }
 
 #[test]
+fn vertices_that_no_face_has_move_nothing() {
+    let place = |unused: &str| {
+        let lines = ["1e6 0 0", "1000001 0 0", "1000001 1 0", unused, "3 0 1 2"];
+        parse(text("x y z", FACE, &lines).as_bytes()).unwrap().objects[0].world_from_mesh
+    };
+    assert_eq!(place("1e6 1 0").translation, DVec3::new(1_000_000.5, 0.5, 0.0));
+    assert_eq!(place("-9e9 0 0"), place("1e6 1 0"));
+    assert_eq!(place("nan inf 0"), place("1e6 1 0"));
+}
+
+#[test]
 fn strips_are_triangles_that_wind_alike() {
     let strips = "tristrips\nproperty list int int vertex_indices\n";
     let lines = [&SQUARE[..], &["8 0 1 3 2 -1 0 1 2"]].concat();
