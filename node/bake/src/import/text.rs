@@ -168,6 +168,17 @@ pub(super) fn number(word: &[u8]) -> Option<f64> {
     value.is_finite().then_some(value)
 }
 
+/// A word as a number, also one that is none or infinite, in whatever way that is written; no other word.
+pub(super) fn any_number(word: &[u8]) -> Option<f64> {
+    let text = std::str::from_utf8(word).ok()?;
+    // What the C library of one system writes: 1.#IND, -1.#QNAN, 1.#INF.
+    let written = |ways: [&str; 4]| {
+        let end = text.split_once('#').map(|(_, end)| end.to_ascii_uppercase());
+        end.is_some_and(|end| ways.iter().any(|way| end.starts_with(way)))
+    };
+    text.parse().ok().or_else(|| written(["IND", "QNAN", "SNAN", "INF"]).then_some(f64::NAN))
+}
+
 /// A line for a message: its start, if it is long.
 pub(super) fn excerpt(line: &[u8]) -> String {
     const LONGEST: usize = 60;
@@ -241,6 +252,18 @@ mod tests {
     fn an_endless_line_is_refused() {
         let mut lines = Lines::new(io::BufReader::new(io::repeat(b'x')));
         assert!(matches!(lines.next(never), Err(LineError::TooLong { line: 1 })));
+    }
+
+    #[test]
+    fn what_is_no_number_is_written_in_many_ways() {
+        for word in ["nan", "-NaN", "1.#IND", "-1.#IND00", "1.#QNAN", "inf", "-Infinity", "1.#INF"]
+        {
+            assert!(!any_number(word.as_bytes()).unwrap().is_finite(), "{word}");
+        }
+        assert_eq!(any_number(b"-1.5e3"), Some(-1500.0));
+        for bad in ["", "x", "1,5", "#", "1.#"] {
+            assert_eq!(any_number(bad.as_bytes()), None, "{bad}");
+        }
     }
 
     #[test]

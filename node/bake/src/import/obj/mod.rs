@@ -26,7 +26,7 @@ use super::error::ImportError;
 use super::picture::linear_of;
 use super::place;
 use super::polygon::triangulate;
-use super::text::{Lines, data, excerpt, number};
+use super::text::{Lines, any_number, data, excerpt, number};
 use crate::source::{Imported, SourceObject};
 
 /// What modellers write; the format itself does not say.
@@ -159,7 +159,7 @@ impl Scene<'_, '_> {
         line: u64,
         words: impl Iterator<Item = &'w [u8]>,
     ) -> Result<(), String> {
-        let all: Vec<f64> = words.map(any_number).collect::<Result<_, _>>()?;
+        let all: Vec<f64> = words.map(coordinate).collect::<Result<_, _>>()?;
         let (point, color) = match all[..] {
             [x, y, z] | [x, y, z, _] => ([x, y, z], None),
             [x, y, z, r, g, b] | [x, y, z, _, r, g, b] => ([x, y, z], Some([r, g, b])),
@@ -259,10 +259,9 @@ impl Scene<'_, '_> {
     }
 }
 
-/// A number, also one that is none; no other word.
-fn any_number(word: &[u8]) -> Result<f64, String> {
-    let value = std::str::from_utf8(word).ok().and_then(|text| text.parse().ok());
-    value.ok_or_else(|| format!("\"{}\" is no number", excerpt(word)))
+/// A number, also one that is none.
+fn coordinate(word: &[u8]) -> Result<f64, String> {
+    any_number(word).ok_or_else(|| format!("\"{}\" is no number", excerpt(word)))
 }
 
 /// As many numbers as `missing`, which gives those that may be left out; none where one is no number or too few are

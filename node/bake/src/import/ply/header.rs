@@ -6,6 +6,8 @@ use super::texture_name;
 use super::values::ValueError;
 use crate::import::text::{LineError, Lines, excerpt, never, words};
 
+/// What lines of a header begin with, but for comments.
+const KEYWORDS: [&[u8]; 4] = [b"format", b"element", b"property", b"end_header"];
 /// Lines of the longest header that is read.
 const MOST_LINES: u64 = 10_000;
 /// The longest of them, in bytes.
@@ -154,6 +156,8 @@ pub(super) fn read(reader: impl BufRead) -> Result<Header, ValueError> {
     let mut encoding = None;
     let mut elements: Vec<Element> = Vec::new();
     let mut textures = Vec::new();
+    // The next line may belong to a comment without saying so.
+    let mut is_comment = false;
     loop {
         let (at, line) = match lines.next(never) {
             Ok(Some((at, line))) if line.len() <= LONGEST_LINE => (at, line.to_vec()),
@@ -172,6 +176,9 @@ pub(super) fn read(reader: impl BufRead) -> Result<Header, ValueError> {
             return wrong("comes after too many others");
         }
         let all: Vec<&[u8]> = words(&line).collect();
+        let is_keyword = |word: &&[u8]| KEYWORDS.contains(word);
+        let is_keyword = all.first().is_some_and(is_keyword);
+        is_comment &= !is_keyword;
         match (at, &all[..]) {
             (1, [b"ply"]) => {}
             (1, _) => return wrong("is not \"ply\""),
@@ -182,9 +189,11 @@ pub(super) fn read(reader: impl BufRead) -> Result<Header, ValueError> {
                     b"binary_big_endian" => Encoding::BigEndian,
                     _ => return wrong("names an unknown format"),
                 });
+                is_comment = true;
             }
             (_, [word @ (b"comment" | b"obj_info"), ..]) => {
                 textures.extend(texture_name(line[word.len()..].trim_ascii()));
+                is_comment = true;
             }
             (_, []) => {}
             (_, [b"element", name, count]) => {
@@ -220,6 +229,8 @@ pub(super) fn read(reader: impl BufRead) -> Result<Header, ValueError> {
                 element.properties.push(Property { name, scalar, list: None });
             }
             (_, [b"end_header"]) => break,
+            // Some writers break the text of a comment, or leave its first word out.
+            _ if is_comment => continue,
             _ => return wrong("is not understood"),
         }
     }

@@ -187,6 +187,14 @@ fn vertices_that_no_face_has_move_nothing() {
 }
 
 #[test]
+fn a_comment_may_be_broken() {
+    for broken in ["comment made\nby hand: 3\n\nof mine\n", "made by hand\n"] {
+        let text = TEXT.replace("comment made by hand\n", broken);
+        assert_eq!(parse(text.as_bytes()).unwrap(), parse(TEXT.as_bytes()).unwrap());
+    }
+}
+
+#[test]
 fn strips_are_triangles_that_wind_alike() {
     let strips = "tristrips\nproperty list int int vertex_indices\n";
     let lines = [&SQUARE[..], &["8 0 1 3 2 -1 0 1 2"]].concat();

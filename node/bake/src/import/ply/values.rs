@@ -3,7 +3,7 @@
 use std::io::{self, BufRead, ErrorKind};
 
 use super::header::{Encoding, Property, Scalar};
-use crate::import::text::{LineError, excerpt};
+use crate::import::text::{LineError, any_number, excerpt};
 
 /// Why the next number cannot be had.
 #[derive(Debug)]
@@ -66,8 +66,7 @@ impl<R: BufRead> Values<R> {
     pub(super) fn scalar(&mut self, scalar: Scalar) -> Result<f64, ValueError> {
         if self.encoding == Encoding::Text {
             self.next_word()?;
-            let value = std::str::from_utf8(&self.word).ok().and_then(|text| text.parse().ok());
-            return value.ok_or_else(|| {
+            return any_number(&self.word).ok_or_else(|| {
                 ValueError::Broken(format!("\"{}\" is no number", excerpt(&self.word)))
             });
         }
