@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 
 /// Counts up whenever a bake of the same sources and settings would write other bytes, or files of the
 /// working folder would be read in another way.
-const BAKE_VERSION: u32 = 6;
+const BAKE_VERSION: u32 = 7;
 
 /// Bytes of a file that are read at once.
 const DIGEST_BYTES: usize = 4 << 20;
@@ -42,6 +42,8 @@ impl Keys {
 
     /// For sources with this digest.
     pub(crate) fn of_content(content: Key, options: &Options) -> Self {
+        let scene: Key = blake3::hash(options.scene.as_bytes()).into();
+        let content = digest_of(&content, &scene.map(f64::from));
         let import =
             digest_of(&content, &[f64::from(BAKE_VERSION), f64::from(options.texture_side)]);
         let pieces = digest_of(
@@ -117,6 +119,7 @@ mod tests {
         assert_eq!(with(|o| o.hlod_levels += 1), [true, true, false]);
         assert_eq!(with(|o| o.piece_triangles += 1), [true, false, false]);
         assert_eq!(with(|o| o.texture_side /= 2), [false, false, false]);
+        assert_eq!(with(|o| o.scene = "1".into()), [false, false, false]);
     }
 
     #[test]
