@@ -41,6 +41,9 @@ pub(crate) struct Args {
     /// Seed of everything random
     #[arg(long)]
     seed: Option<u64>,
+    /// Name or number of the scene to read of a glTF that holds several [default: the one it names]
+    #[arg(long, value_name = "SCENE")]
+    scene: Option<String>,
     /// none, tdm or itdm: far fields for the view cells that people walk through; INPUT may be a baked
     /// scene then
     #[arg(long, value_name = "METHOD", default_value = "none", value_parser = method)]
@@ -105,6 +108,7 @@ pub(crate) fn run(args: Args) -> Result<(), Failure> {
     options.jobs = args.jobs.unwrap_or(options.jobs);
     options.memory = args.memory.map_or(options.memory, |memory| memory.0);
     options.seed = args.seed.unwrap_or(options.seed);
+    options.scene = args.scene.clone().unwrap_or(options.scene);
     if args.far == Method::None {
         let summary = bake_file(&args.inputs, &args.output, &options)?;
         return if args.json { say_json(&summary) } else { say(summary) };

@@ -42,6 +42,8 @@ impl Keys {
 
     /// For sources with this digest.
     pub(crate) fn of_content(content: Key, options: &Options) -> Self {
+        let scene: Key = blake3::hash(options.scene.as_bytes()).into();
+        let content = digest_of(&content, &scene.map(f64::from));
         let import =
             digest_of(&content, &[f64::from(BAKE_VERSION), f64::from(options.texture_side)]);
         let pieces = digest_of(
@@ -117,6 +119,7 @@ mod tests {
         assert_eq!(with(|o| o.hlod_levels += 1), [true, true, false]);
         assert_eq!(with(|o| o.piece_triangles += 1), [true, false, false]);
         assert_eq!(with(|o| o.texture_side /= 2), [false, false, false]);
+        assert_eq!(with(|o| o.scene = "1".into()), [false, false, false]);
     }
 
     #[test]

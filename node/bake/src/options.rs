@@ -30,6 +30,8 @@ pub struct Options {
     pub piece_least_triangles: usize,
     /// Pixels along each side of the largest texture: a power of two.
     pub texture_side: u32,
+    /// Name or number of the scene to read of a glTF that holds several; empty for its default one.
+    pub scene: String,
     /// Most children of an inner hlod.
     pub branching: usize,
     /// Triangles of the finest level of an inner hlod.
@@ -51,6 +53,7 @@ impl Default for Options {
             piece_extent: 0.0625,
             piece_least_triangles: 128,
             texture_side: 512,
+            scene: String::new(),
             branching: 4,
             hlod_triangles: 2048,
             hlod_levels: 1,

@@ -184,7 +184,8 @@ fn import_all(
 ) -> Result<Scene, BakeError> {
     let mut spool = Spool::create(work)?;
     let mut whole: Option<Imported> = None;
-    let limits = ImportLimits { texture_side: options.texture_side, memory: options.memory };
+    let Options { texture_side, memory, ref scene, .. } = *options;
+    let limits = ImportLimits { texture_side, memory, scene: scene.clone() };
     for input in inputs {
         let (meshes, textures) = spool.counts();
         spool.next_file(whole.as_ref().map_or(0, |whole: &Imported| whole.surfaces.len()));

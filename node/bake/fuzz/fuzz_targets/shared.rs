@@ -21,6 +21,6 @@ pub fn read(name: &str, bytes: &[u8]) {
         std::fs::write(&file, scene).expect("a file");
         std::fs::write(folder.path().join("scene.mtl"), library).expect("a file");
         let _ = bake::import::references(&file);
-        let _ = bake::survey::survey(&file, &ImportLimits { texture_side: 64, memory: 1 << 24 });
+        let _ = bake::survey::survey(&file, &ImportLimits { texture_side: 64, memory: 1 << 24, ..ImportLimits::default() });
     });
 }

@@ -90,6 +90,16 @@ pub enum ImportError {
         /// How it leaves the folder.
         why: &'static str,
     },
+    /// A data URI holds no data.
+    #[error("{}: {at}: its data URI {what}; export the file again", file.display())]
+    DataUri {
+        /// The scene file.
+        file: PathBuf,
+        /// The object that holds it.
+        at: String,
+        /// What is wrong with it.
+        what: &'static str,
+    },
     /// An object of the scene contradicts the format or the bytes that stand there.
     #[error("{}: {at}: {what}; {fix}", file.display())]
     Invalid {

@@ -34,17 +34,19 @@ use crate::source::{Imported, Sink};
 use crate::source::{Source, SourceMesh, Texture};
 
 /// What an import may yield at most.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ImportLimits {
     /// Pixels along each side of the largest texture: a power of two. Larger pictures are reduced.
     pub texture_side: u32,
     /// Bytes of memory to work in. What is read does not depend on it.
     pub memory: u64,
+    /// Name or number of the scene to read of a file that holds several; empty for its default one.
+    pub scene: String,
 }
 
 impl Default for ImportLimits {
     fn default() -> Self {
-        Self { texture_side: 1024, memory: 1 << 30 }
+        Self { texture_side: 1024, memory: 1 << 30, scene: String::new() }
     }
 }
 
@@ -65,13 +67,18 @@ pub fn import(
 ) -> Result<Imported, ImportError> {
     assert!(limits.texture_side.is_power_of_two(), "a texture's side is a power of two");
     let format = Format::of(path)?;
-    let out = Emitter::new(path, *limits, sink);
-    match format {
-        Format::Gltf => gltf::import(path, out),
+    let out = Emitter::new(path, limits.clone(), sink);
+    let mut imported = match format {
+        Format::Gltf => return gltf::import(path, out),
         Format::Obj => obj::import(path, out),
         Format::Ply => ply::import(path, out),
         Format::Stl => stl::import(path, out),
+    }?;
+    if !limits.scene.is_empty() {
+        let note = format!("{} has no scenes to choose from, all of it is read", path.display());
+        imported.notes.push(note);
     }
+    Ok(imported)
 }
 
 /// What the format of the scene file at `path` is called.

@@ -1,9 +1,10 @@
 //! Base colour pictures: decoded, reduced to a square power of two in linear light, or to one colour.
 
+use std::borrow::Cow;
 use std::collections::VecDeque;
 use std::io::Cursor;
 
-use image::{ImageReader, Limits, RgbaImage};
+use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader, Limits, RgbaImage};
 
 /// The widest and highest picture that is decoded, in pixels.
 const MAX_SIDE: u32 = 16_384;
@@ -32,36 +33,122 @@ pub(super) struct Square {
     pub(super) mean: [f64; 4],
 }
 
-/// Decodes a PNG or JPEG; what is wrong with it otherwise.
-pub(super) fn decode(bytes: &[u8]) -> Result<RgbaImage, String> {
-    let mut reader = ImageReader::new(Cursor::new(bytes))
-        .with_guessed_format()
-        .map_err(|error| error.to_string())?;
+/// Decodes a picture of any format that is read; what is wrong with it otherwise.
+pub(super) fn decode(bytes: &[u8]) -> Result<DynamicImage, String> {
+    let mut reader = reader(bytes)?;
     let mut limits = Limits::default();
     limits.max_image_width = Some(MAX_SIDE);
     limits.max_image_height = Some(MAX_SIDE);
     limits.max_alloc = Some(MAX_DECODE_BYTES);
     reader.limits(limits);
-    let pixels = reader.decode().map_err(|error| error.to_string())?.into_rgba8();
-    if pixels.is_empty() { Err("it has no pixels".to_owned()) } else { Ok(pixels) }
+    let pixels = reader.decode().map_err(|error| error.to_string())?;
+    let has_none = pixels.width() == 0 || pixels.height() == 0;
+    if has_none { Err("it has no pixels".to_owned()) } else { Ok(pixels) }
+}
+
+/// Bytes of memory that decoding takes, as far as the picture's header tells.
+pub(super) fn decode_bytes(bytes: &[u8]) -> u64 {
+    let decoder = reader(bytes).ok().and_then(|reader| reader.into_decoder().ok());
+    // Some decoders hold the whole picture in a form of their own, too.
+    decoder.map_or(0, |decoder| decoder.total_bytes().min(MAX_DECODE_BYTES).saturating_mul(2))
+}
+
+fn reader(bytes: &[u8]) -> Result<ImageReader<Cursor<&[u8]>>, String> {
+    if let Some((_, name)) = UNREAD.iter().find(|(start, _)| bytes.starts_with(start)) {
+        return Err(format!("it is {name}, which is not read: convert it to PNG"));
+    }
+    let mut reader = ImageReader::new(Cursor::new(bytes))
+        .with_guessed_format()
+        .map_err(|error| error.to_string())?;
+    if reader.format().is_none() && is_tga(bytes) {
+        reader.set_format(ImageFormat::Tga);
+    }
+    Ok(reader)
+}
+
+/// Formats that are known and not read, by their first bytes.
+const UNREAD: [(&[u8], &str); 6] = [
+    (b"\xABKTX 20\xBB", "KTX2"),
+    (b"\xABKTX 11\xBB", "KTX"),
+    (b"sB\x13\0", "Basis Universal"),
+    (b"DDS ", "DDS"),
+    (b"\0\0\0\x1cftypavif", "AVIF"),
+    (b"\0\0\0 ftypavif", "AVIF"),
+];
+
+/// Whether bytes begin like a TGA, which has no mark of its own: by the fields whose values are few.
+fn is_tga(bytes: &[u8]) -> bool {
+    let Some(&[_, palette, kind, _, _, _, _, _, _, _, _, _, w0, w1, h0, h1, depth, _]) =
+        bytes.first_chunk()
+    else {
+        return false;
+    };
+    let has_palette = matches!(kind, 1 | 9);
+    let is_kind = has_palette || matches!(kind, 2 | 3 | 10 | 11);
+    let has_pixels = [w0, w1] != [0, 0] && [h0, h1] != [0, 0];
+    is_kind
+        && (palette == 1 || palette == 0 && !has_palette)
+        && matches!(depth, 8 | 15 | 16 | 24 | 32)
+        && has_pixels
+}
+
+/// A picture that is read row by row, so that it need not be there as RGBA as a whole.
+pub(super) trait Texels {
+    /// Width and height.
+    fn size(&self) -> [u32; 2];
+    /// A row, sRGB-encoded RGBA.
+    fn row(&self, row: u32) -> Cow<'_, [[u8; 4]]>;
+}
+
+impl Texels for RgbaImage {
+    fn size(&self) -> [u32; 2] {
+        [self.width(), self.height()]
+    }
+
+    fn row(&self, row: u32) -> Cow<'_, [[u8; 4]]> {
+        let width = self.width() as usize;
+        Cow::Borrowed(&self.as_raw().as_chunks::<4>().0[row as usize * width..][..width])
+    }
+}
+
+impl Texels for DynamicImage {
+    fn size(&self) -> [u32; 2] {
+        [self.width(), self.height()]
+    }
+
+    fn row(&self, row: u32) -> Cow<'_, [[u8; 4]]> {
+        let width = self.width();
+        Cow::Owned(match self {
+            Self::ImageRgba8(pixels) => return pixels.row(row),
+            Self::ImageRgb8(pixels) => {
+                let texels = pixels.as_raw().as_chunks::<3>().0;
+                let row = &texels[row as usize * width as usize..][..width as usize];
+                row.iter().map(|&[r, g, b]| [r, g, b, 255]).collect()
+            }
+            other => {
+                let row = other.crop_imm(0, row, width, 1).into_rgba8();
+                row.pixels().map(|texel| texel.0).collect()
+            }
+        })
+    }
 }
 
 /// Reduces a picture to one colour, or to a square whose side is at most `largest`, a power of two.
 ///
 /// Where alpha has a meaning (`uses_alpha`) a texel's colour counts by its alpha, so that what cannot
 /// be seen does not tint what can; elsewhere alpha becomes 255.
-pub(super) fn reduce(pixels: &RgbaImage, uses_alpha: bool, largest: u32) -> Picture {
+pub(super) fn reduce(pixels: &impl Texels, uses_alpha: bool, largest: u32) -> Picture {
     let visible = |texel: &[u8; 4]| match uses_alpha {
         true => *texel,
         false => [texel[0], texel[1], texel[2], 255],
     };
-    let texels = pixels.as_raw().as_chunks::<4>().0;
-    let first = visible(&texels[0]);
-    if texels.iter().all(|texel| visible(texel) == first) {
+    let [width, height] = pixels.size();
+    let first = visible(&pixels.row(0)[0]);
+    if (0..height).all(|row| pixels.row(row).iter().all(|texel| visible(texel) == first)) {
         return Picture::Plain(linear(first));
     }
-    let side = side(pixels.width(), pixels.height()).min(largest);
-    let (rgba, mean) = resample(texels, [pixels.width(), pixels.height()], uses_alpha, side);
+    let side = side(width, height).min(largest);
+    let (rgba, mean) = resample(pixels, uses_alpha, side);
     let is_opaque = rgba.as_chunks::<4>().0.iter().all(|texel| texel[3] == 255);
     Picture::Square(Square { side, rgba, is_opaque, mean })
 }
@@ -80,6 +167,8 @@ fn side(width: u32, height: u32) -> u32 {
 /// The alpha that one without any counts by: too little to tint what is seen, enough to keep the colour
 /// of what is not, which a renderer's filter mixes into its neighbours.
 const UNSEEN: f32 = 1.0 / 65_536.0;
+/// A picture whose mean alpha is no more than this has none anywhere.
+pub(super) const UNSEEN_MEAN: f64 = 1.01 * UNSEEN as f64;
 
 /// Texels that make one of the result along one axis: the first, and the weight of each.
 type Taps = Vec<(usize, Vec<f32>)>;
@@ -101,12 +190,8 @@ fn taps(from: u32, to: u32) -> Taps {
 }
 
 /// The picture at another size, and the mean of all its texels.
-fn resample(
-    texels: &[[u8; 4]],
-    [width, height]: [u32; 2],
-    uses_alpha: bool,
-    side: u32,
-) -> (Vec<u8>, [f64; 4]) {
+fn resample(pixels: &impl Texels, uses_alpha: bool, side: u32) -> (Vec<u8>, [f64; 4]) {
+    let [width, height] = pixels.size();
     let light: Vec<f32> = (0..=255u8).map(|value| linear_from_srgb(value) as f32).collect();
     // Colours times alpha, beside alpha: sums of these are what is seen of many texels together.
     let premultiplied = |texel: &[u8; 4]| -> [f32; 4] {
@@ -131,8 +216,7 @@ fn resample(
         }
         first_held = *first;
         while held.len() < weights.len() {
-            let row = first_held + held.len();
-            let row = &texels[row * width as usize..][..width as usize];
+            let row = pixels.row((first_held + held.len()) as u32);
             let row: Vec<[f32; 4]> = row.iter().map(premultiplied).collect();
             held.push_back(columns.iter().map(|(at, w)| mixed(row[*at..].iter(), w)).collect());
         }
@@ -219,6 +303,51 @@ mod tests {
         let whole = png(&image(2, 1, checker));
         for end in 0..whole.len() - 12 {
             assert!(decode(&whole[..end]).is_err(), "cut at {end}");
+        }
+    }
+
+    #[test]
+    fn every_format_is_known_by_its_bytes_and_keeps_its_texels() {
+        let texel = |x, y| [(x * 60) as u8, (y * 80) as u8, 7, 255];
+        let pixels = image(4, 3, texel);
+        for format in [
+            ImageFormat::Png,
+            ImageFormat::Bmp,
+            ImageFormat::Tga,
+            ImageFormat::Tiff,
+            ImageFormat::WebP,
+        ] {
+            let mut out = Cursor::new(Vec::new());
+            pixels.write_to(&mut out, format).unwrap();
+            let bytes = out.into_inner();
+            let found = decode(&bytes).unwrap();
+            assert_eq!(found.size(), [4, 3], "{format:?}");
+            for (row, expected) in (0..3).map(|row| (found.row(row), pixels.row(row))) {
+                assert_eq!(row, expected, "{format:?}");
+            }
+            assert_eq!(decode_bytes(&bytes), 2 * 4 * 12, "{format:?}");
+            for end in 0..bytes.len() / 2 {
+                assert!(decode(&bytes[..end]).is_err(), "{format:?} cut at {end}");
+            }
+        }
+        let error = decode(b"\xABKTX 20\xBB\r\n\x1A\n").unwrap_err();
+        assert!(error.contains("it is KTX2"), "{error}");
+    }
+
+    #[test]
+    fn rows_are_those_of_the_whole_picture_whatever_its_texels() {
+        let whole = image(5, 4, |x, y| [(x * 50) as u8, (y * 60) as u8, 9, (40 * (x + y)) as u8]);
+        let whole = DynamicImage::from(whole);
+        for pixels in [
+            DynamicImage::from(whole.to_luma16()),
+            DynamicImage::from(whole.to_luma_alpha8()),
+            DynamicImage::from(whole.to_rgb8()),
+            DynamicImage::from(whole.to_rgba16()),
+            whole,
+        ] {
+            let rgba = pixels.to_rgba8();
+            assert!((0..4).all(|row| pixels.row(row) == rgba.row(row)), "{:?}", pixels.color());
+            assert_eq!(reduce(&pixels, true, 4), reduce(&rgba, true, 4));
         }
     }
 

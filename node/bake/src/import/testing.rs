@@ -16,8 +16,17 @@ pub(super) fn collect(
     file: &str,
     import: impl FnOnce(Emitter<'_>) -> Result<Imported, ImportError>,
 ) -> Result<Source, ImportError> {
+    collect_within(file, ImportLimits::default(), import)
+}
+
+/// The same within other limits, but for the side of textures.
+pub(super) fn collect_within(
+    file: &str,
+    limits: ImportLimits,
+    import: impl FnOnce(Emitter<'_>) -> Result<Imported, ImportError>,
+) -> Result<Source, ImportError> {
     let mut whole = Source::default();
-    let limits = ImportLimits { texture_side: TEXTURE_SIDE, ..ImportLimits::default() };
+    let limits = ImportLimits { texture_side: TEXTURE_SIDE, ..limits };
     let mut sink = Collect(&mut whole);
     let imported = import(Emitter::new(Path::new(file), limits, &mut sink))?;
     whole.complete(imported);

@@ -20,12 +20,11 @@ impl Folder<'_> {
     /// Only data URIs and files inside the scene's own folder are read: a scheme, an absolute
     /// path, a `..` or a symbolic link that leads out is refused.
     pub(super) fn read(&self, at: &str, uri: &str) -> Result<Vec<u8>, ImportError> {
-        if let Some(data) = uri.strip_prefix("data:") {
-            return decode_data(data).map_err(|what| ImportError::Invalid {
+        if let Some(data) = data(uri) {
+            return decode_data(data).map_err(|what| ImportError::DataUri {
                 file: self.file.into(),
                 at: at.into(),
-                what: format!("its data URI {what}"),
-                fix: "export the file again",
+                what,
             });
         }
         let path = self.locate(at, uri)?;
@@ -34,7 +33,7 @@ impl Folder<'_> {
 
     /// The same bytes, not yet in memory unless they stand in the URI.
     pub(super) fn open(&self, at: &str, uri: &str) -> Result<Store, ImportError> {
-        if uri.starts_with("data:") {
+        if data(uri).is_some() {
             return self.read(at, uri).map(Store::memory);
         }
         let path = self.locate(at, uri)?;
@@ -101,7 +100,10 @@ impl Folder<'_> {
             return Err(outside("is no relative path"));
         }
         let (folder, beside) = (parent(self.file), parent(self.by));
-        let target = beside.join(name).canonicalize().map_err(|source| match source.kind() {
+        // Some tools unpack such a path into a name that has backslashes in it.
+        let target = beside.join(name.replace('\\', "/")).canonicalize();
+        let target = target.or_else(|_| beside.join(name).canonicalize());
+        let target = target.map_err(|source| match source.kind() {
             ErrorKind::NotFound | ErrorKind::NotADirectory | ErrorKind::InvalidFilename => {
                 missing()
             }
@@ -146,14 +148,23 @@ fn shorten(uri: &str) -> String {
     }
 }
 
-/// The body of `data:[media type][;base64],body` (RFC 2397).
+/// What stands behind the scheme of a data URI.
+fn data(uri: &str) -> Option<&str> {
+    let (scheme, data) = uri.split_at_checked(5)?;
+    scheme.eq_ignore_ascii_case("data:").then_some(data)
+}
+
+/// The body of `data:[media type][;base64],body` (RFC 2397). In base64, blanks and line ends count for
+/// nothing, and any letter may be escaped.
 fn decode_data(data: &str) -> Result<Vec<u8>, &'static str> {
     let (head, body) = data.split_once(',').ok_or("has no comma")?;
-    if head.ends_with(";base64") {
-        decode_base64(body).ok_or("is not base64")
-    } else {
-        Ok(percent_decode(body))
+    let mut bytes = percent_decode(body);
+    let last = head.rsplit_once(';').map(|(_, last)| last.trim());
+    if !last.is_some_and(|last| last.eq_ignore_ascii_case("base64")) {
+        return Ok(bytes);
     }
+    bytes.retain(|byte| !byte.is_ascii_whitespace());
+    std::str::from_utf8(&bytes).ok().and_then(decode_base64).ok_or("is not base64")
 }
 
 /// RFC 3986, section 2.1. A `%` that starts no pair of hex digits stands for itself: exporters
@@ -178,7 +189,7 @@ fn percent_decode(text: &str) -> Vec<u8> {
     out
 }
 
-/// RFC 4648, section 4, padding optional; `None` for any other character.
+/// RFC 4648, sections 4 and 5, padding optional; `None` for any other character.
 fn decode_base64(text: &str) -> Option<Vec<u8>> {
     let digits = text.trim_end_matches('=').as_bytes();
     if digits.len() % 4 == 1 || text.len() - digits.len() > 2 {
@@ -192,8 +203,8 @@ fn decode_base64(text: &str) -> Option<Vec<u8>> {
                 b'A'..=b'Z' => digit - b'A',
                 b'a'..=b'z' => digit - b'a' + 26,
                 b'0'..=b'9' => digit - b'0' + 52,
-                b'+' => 62,
-                b'/' => 63,
+                b'+' | b'-' => 62,
+                b'/' | b'_' => 63,
                 _ => return None,
             };
             bits = bits << 6 | u32::from(value);
@@ -234,6 +245,20 @@ mod tests {
     }
 
     #[test]
+    fn base64_is_read_escaped_broken_into_lines_and_with_letters_for_urls() {
+        for body in ["+/+/Zg==", "-_-_Zg==", "%2B%2F%2b/Zg%3D%3D", " +/+/\r\n\tZg = =\n", "+/+/Zg"]
+        {
+            for head in ["image/png;base64", ";BASE64", "a/b;charset=x; base64 "] {
+                let bytes = decode_data(&format!("{head},{body}"));
+                assert_eq!(bytes.as_deref(), Ok(&[0xFB, 0xFF, 0xBF, b'f'][..]), "{head},{body}");
+            }
+        }
+        assert_eq!(decode_data("base64,Zg=="), Ok(b"Zg==".to_vec()));
+        assert_eq!(decode_data(";base64,Z%C3%A9"), Err("is not base64"));
+        assert_eq!((data("DATA:,x"), data("dat\u{e9}:")), (Some(",x"), None));
+    }
+
+    #[test]
     fn only_the_scenes_own_folder_is_read() {
         let root = tempfile::tempdir().unwrap();
         let inside = root.path().join("scene");
@@ -247,6 +272,9 @@ mod tests {
             folder.read("buffer 0", "data:application/octet-stream;base64,Zm9v").unwrap(),
             b"foo"
         );
+        for uri in ["deep\\my part.bin", "deep%5Cmy%20part.bin", ".\\deep/my part.bin"] {
+            assert_eq!(folder.read("buffer 0", uri).unwrap(), b"part", "{uri}");
+        }
         let secret = root.path().join("secret.bin");
         for uri in [
             "../secret.bin",

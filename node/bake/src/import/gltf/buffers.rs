@@ -1,6 +1,6 @@
 //! The bytes behind a document: its buffers and the views into them, read a range at a time.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use super::compressed;
 use super::document::{BufferView, Document, label};
@@ -20,8 +20,17 @@ pub(super) struct Resources<'a> {
     decoded: Vec<Option<Span>>,
 }
 
+/// Where an image stands: two that stand in the same place are one.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) enum Origin<'a> {
+    Bytes(Span),
+    File(PathBuf),
+    /// A data URI, or one that leads nowhere.
+    Uri(&'a str),
+}
+
 /// Bytes of a store that are there.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct Span {
     store: usize,
     start: u64,
@@ -162,25 +171,36 @@ impl<'a> Resources<'a> {
             .map_err(|source| ImportError::Read { file: self.file.into(), source })
     }
 
-    /// The bytes of an image, embedded or in a file of its own, and what to call it.
-    pub(super) fn image(&self, number: usize) -> Result<(Vec<u8>, String), ImportError> {
+    /// Where an image stands; `None` if it stands nowhere.
+    pub(super) fn origin(&self, number: usize) -> Option<Origin<'a>> {
+        let image = self.document.images.get(number)?;
+        match (&image.uri, image.buffer_view) {
+            (Some(uri), _) => {
+                let file = Folder { file: self.file, by: self.file }.find(uri);
+                Some(file.map_or(Origin::Uri(uri), Origin::File))
+            }
+            (None, Some(view)) => self.view("", view).ok().map(|(span, _)| Origin::Bytes(span)),
+            (None, None) => None,
+        }
+    }
+
+    /// The bytes of an image, embedded or in a file of its own.
+    pub(super) fn image(&self, number: usize) -> Result<Vec<u8>, ImportError> {
         let at = self.image_label(number);
         let Some(image) = self.document.images.get(number) else {
             return Err(
                 self.broken(&at, format!("the file has {} images", self.document.images.len()))
             );
         };
-        let bytes = match (&image.uri, image.buffer_view) {
-            (Some(uri), _) => Folder { file: self.file, by: self.file }.read(&at, uri)?,
-            (None, Some(view)) => self.bytes(self.view(&at, view)?.0)?,
-            (None, None) => {
-                return Err(self.broken(&at, "it has neither a URI nor a buffer view".into()));
-            }
-        };
-        Ok((bytes, at))
+        match (&image.uri, image.buffer_view) {
+            (Some(uri), _) => Folder { file: self.file, by: self.file }.read(&at, uri),
+            (None, Some(view)) => self.bytes(self.view(&at, view)?.0),
+            (None, None) => Err(self.broken(&at, "it has neither a URI nor a buffer view".into())),
+        }
     }
 
-    fn image_label(&self, number: usize) -> String {
+    /// What messages call an image.
+    pub(super) fn image_label(&self, number: usize) -> String {
         label(
             "image",
             number,

@@ -4,9 +4,12 @@
 //! tested where it is used. Unknown members are ignored, as the format asks.
 
 use std::collections::BTreeMap;
+use std::hash::Hash;
 
 use serde::Deserialize;
 use serde::de::IgnoredAny;
+
+use super::lenient::{OfWhole, Whole, name, version, whole};
 
 /// What must be understood before the rest of the file may be.
 #[derive(Deserialize)]
@@ -20,14 +23,37 @@ pub(super) struct Header {
 #[derive(Deserialize)]
 #[serde(rename_all = "camelCase")]
 pub(super) struct Asset {
-    pub(super) version: String,
+    #[serde(default, deserialize_with = "version")]
+    pub(super) version: Option<String>,
+    #[serde(default, deserialize_with = "version")]
     pub(super) min_version: Option<String>,
+}
+
+/// A document of glTF 1.0: its lists are tables by name.
+#[derive(Deserialize)]
+pub(super) struct FirstVersion {
+    nodes: Option<Table>,
+    meshes: Option<Table>,
+    scenes: Option<Table>,
+    accessors: Option<Table>,
+    buffers: Option<Table>,
+}
+
+type Table = BTreeMap<String, IgnoredAny>;
+
+impl FirstVersion {
+    /// Whether it has such tables at all.
+    pub(super) fn has_tables(&self) -> bool {
+        let Self { nodes, meshes, scenes, accessors, buffers } = self;
+        [nodes, meshes, scenes, accessors, buffers].into_iter().any(Option::is_some)
+    }
 }
 
 #[derive(Default, Deserialize)]
 #[serde(rename_all = "camelCase", default)]
 pub(super) struct Document {
     pub(super) extensions_used: Vec<String>,
+    #[serde(deserialize_with = "whole")]
     pub(super) scene: Option<usize>,
     pub(super) scenes: Vec<Scene>,
     pub(super) nodes: Vec<Node>,
@@ -42,19 +68,46 @@ pub(super) struct Document {
     pub(super) cameras: Vec<IgnoredAny>,
     pub(super) skins: Vec<IgnoredAny>,
     pub(super) animations: Vec<IgnoredAny>,
+    pub(super) extensions: DocumentExtensions,
+}
+
+#[derive(Default, Deserialize)]
+#[serde(default)]
+pub(super) struct DocumentExtensions {
+    #[serde(rename = "KHR_lights_punctual")]
+    pub(super) lights: Lights,
+    #[serde(rename = "KHR_materials_variants")]
+    pub(super) variants: Variants,
+}
+
+#[derive(Default, Deserialize)]
+#[serde(default)]
+pub(super) struct Lights {
+    pub(super) lights: Vec<IgnoredAny>,
+}
+
+#[derive(Default, Deserialize)]
+#[serde(default)]
+pub(super) struct Variants {
+    pub(super) variants: Vec<IgnoredAny>,
 }
 
 #[derive(Deserialize)]
 pub(super) struct Scene {
-    #[serde(default)]
+    #[serde(default, deserialize_with = "name")]
+    pub(super) name: Option<String>,
+    #[serde(default, deserialize_with = "whole")]
     pub(super) nodes: Vec<usize>,
 }
 
 #[derive(Default, Deserialize)]
 #[serde(default)]
 pub(super) struct Node {
+    #[serde(deserialize_with = "name")]
     pub(super) name: Option<String>,
+    #[serde(deserialize_with = "whole")]
     pub(super) mesh: Option<usize>,
+    #[serde(deserialize_with = "whole")]
     pub(super) children: Vec<usize>,
     /// Column by column. Apart, as whatever few of many things have.
     pub(super) matrix: Option<Box<[f64; 16]>>,
@@ -75,11 +128,13 @@ pub(super) struct NodeExtensions {
 #[derive(Default, Deserialize)]
 #[serde(default)]
 pub(super) struct Instancing {
+    #[serde(deserialize_with = "whole")]
     pub(super) attributes: BTreeMap<String, usize>,
 }
 
 #[derive(Deserialize)]
 pub(super) struct Mesh {
+    #[serde(default, deserialize_with = "name")]
     pub(super) name: Option<String>,
     #[serde(default)]
     pub(super) primitives: Vec<Primitive>,
@@ -88,8 +143,11 @@ pub(super) struct Mesh {
 #[derive(Deserialize)]
 pub(super) struct Primitive {
     pub(super) attributes: Attributes,
+    #[serde(default, deserialize_with = "whole")]
     pub(super) indices: Option<usize>,
+    #[serde(default, deserialize_with = "whole")]
     pub(super) material: Option<usize>,
+    #[serde(default, deserialize_with = "whole")]
     pub(super) mode: Option<u64>,
     #[serde(default)]
     pub(super) targets: Vec<IgnoredAny>,
@@ -97,8 +155,8 @@ pub(super) struct Primitive {
 
 /// Accessors of the attributes that are read; those of other names are ignored. No table of names: a
 /// scene may have hundreds of thousands of primitives.
-#[derive(Default, Deserialize)]
-#[serde(from = "BTreeMap<String, usize>")]
+#[derive(Default, Deserialize, PartialEq, Eq, Hash)]
+#[serde(try_from = "BTreeMap<String, Whole>")]
 pub(super) struct Attributes {
     pub(super) position: Option<usize>,
     pub(super) normal: Option<usize>,
@@ -114,24 +172,36 @@ impl Attributes {
     }
 }
 
-impl From<BTreeMap<String, usize>> for Attributes {
-    fn from(named: BTreeMap<String, usize>) -> Self {
+impl Primitive {
+    /// All that decides what it looks like: primitives whose keys are equal look alike.
+    pub(super) fn key(&self) -> impl Eq + Hash + use<'_> {
+        let Self { attributes, indices, material, mode, targets } = self;
+        (attributes, indices, material, mode, targets.is_empty())
+    }
+}
+
+impl TryFrom<BTreeMap<String, Whole>> for Attributes {
+    type Error = &'static str;
+
+    fn try_from(named: BTreeMap<String, Whole>) -> Result<Self, Self::Error> {
+        let named = BTreeMap::<String, usize>::of(named).ok_or("a number has too many bits")?;
         let set = |name: &str| {
             let digits = name.strip_prefix("TEXCOORD_")?;
             digits.parse().ok().filter(|set: &usize| set.to_string() == digits)
         };
-        Self {
+        Ok(Self {
             position: named.get("POSITION").copied(),
             normal: named.get("NORMAL").copied(),
             color: named.get("COLOR_0").copied(),
             tex_coords: named.iter().filter_map(|(name, &a)| Some((set(name)?, a))).collect(),
-        }
+        })
     }
 }
 
 #[derive(Default, Deserialize)]
 #[serde(rename_all = "camelCase", default)]
 pub(super) struct Material {
+    #[serde(deserialize_with = "name")]
     pub(super) name: Option<String>,
     pub(super) pbr_metallic_roughness: MetallicRoughness,
     pub(super) alpha_mode: Option<String>,
@@ -164,8 +234,9 @@ pub(super) struct SpecularGlossiness {
 #[derive(Clone, Copy, Deserialize)]
 #[serde(rename_all = "camelCase")]
 pub(super) struct TextureRef {
+    #[serde(deserialize_with = "whole")]
     pub(super) index: usize,
-    #[serde(default)]
+    #[serde(default, deserialize_with = "whole")]
     pub(super) tex_coord: usize,
     #[serde(default)]
     pub(super) extensions: TextureRefExtensions,
@@ -185,40 +256,69 @@ pub(super) struct TextureTransform {
     /// Radians.
     pub(super) rotation: f64,
     pub(super) scale: Option<[f64; 2]>,
+    #[serde(deserialize_with = "whole")]
     pub(super) tex_coord: Option<usize>,
 }
 
-#[derive(Deserialize)]
+#[derive(Default, Deserialize)]
+#[serde(default)]
 pub(super) struct Texture {
+    #[serde(deserialize_with = "whole")]
     pub(super) source: Option<usize>,
+    #[serde(deserialize_with = "whole")]
     pub(super) sampler: Option<usize>,
+    pub(super) extensions: TextureExtensions,
+}
+
+#[derive(Default, Deserialize)]
+#[serde(default)]
+pub(super) struct TextureExtensions {
+    #[serde(rename = "EXT_texture_webp")]
+    pub(super) webp: TextureSource,
+    #[serde(rename = "KHR_texture_basisu")]
+    pub(super) basisu: TextureSource,
+}
+
+#[derive(Default, Deserialize)]
+#[serde(default)]
+pub(super) struct TextureSource {
+    #[serde(deserialize_with = "whole")]
+    pub(super) source: Option<usize>,
 }
 
 #[derive(Deserialize)]
 #[serde(rename_all = "camelCase")]
 pub(super) struct Sampler {
+    #[serde(default, deserialize_with = "whole")]
     pub(super) wrap_s: Option<u32>,
+    #[serde(default, deserialize_with = "whole")]
     pub(super) wrap_t: Option<u32>,
 }
 
 #[derive(Deserialize)]
 #[serde(rename_all = "camelCase")]
 pub(super) struct Image {
+    #[serde(default, deserialize_with = "name")]
     pub(super) name: Option<String>,
     pub(super) uri: Option<String>,
+    #[serde(default, deserialize_with = "whole")]
     pub(super) buffer_view: Option<usize>,
 }
 
 #[derive(Deserialize)]
 #[serde(rename_all = "camelCase")]
 pub(super) struct AccessorDef {
+    #[serde(default, deserialize_with = "name")]
     pub(super) name: Option<String>,
+    #[serde(default, deserialize_with = "whole")]
     pub(super) buffer_view: Option<usize>,
-    #[serde(default)]
+    #[serde(default, deserialize_with = "whole")]
     pub(super) byte_offset: usize,
+    #[serde(deserialize_with = "whole")]
     pub(super) component_type: u64,
     #[serde(rename = "type")]
     pub(super) element_type: ElementType,
+    #[serde(deserialize_with = "whole")]
     pub(super) count: usize,
     #[serde(default)]
     pub(super) normalized: bool,
@@ -259,6 +359,7 @@ impl ElementType {
 
 #[derive(Deserialize)]
 pub(super) struct SparseDef {
+    #[serde(deserialize_with = "whole")]
     pub(super) count: usize,
     pub(super) indices: SparseIndices,
     pub(super) values: SparseValues,
@@ -267,27 +368,33 @@ pub(super) struct SparseDef {
 #[derive(Deserialize)]
 #[serde(rename_all = "camelCase")]
 pub(super) struct SparseIndices {
+    #[serde(deserialize_with = "whole")]
     pub(super) buffer_view: usize,
-    #[serde(default)]
+    #[serde(default, deserialize_with = "whole")]
     pub(super) byte_offset: usize,
+    #[serde(deserialize_with = "whole")]
     pub(super) component_type: u64,
 }
 
 #[derive(Deserialize)]
 #[serde(rename_all = "camelCase")]
 pub(super) struct SparseValues {
+    #[serde(deserialize_with = "whole")]
     pub(super) buffer_view: usize,
-    #[serde(default)]
+    #[serde(default, deserialize_with = "whole")]
     pub(super) byte_offset: usize,
 }
 
 #[derive(Deserialize)]
 #[serde(rename_all = "camelCase")]
 pub(super) struct BufferView {
+    #[serde(deserialize_with = "whole")]
     pub(super) buffer: usize,
-    #[serde(default)]
+    #[serde(default, deserialize_with = "whole")]
     pub(super) byte_offset: usize,
+    #[serde(deserialize_with = "whole")]
     pub(super) byte_length: usize,
+    #[serde(default, deserialize_with = "whole")]
     pub(super) byte_stride: Option<usize>,
     #[serde(default)]
     pub(super) extensions: ViewExtensions,
@@ -312,11 +419,15 @@ impl ViewExtensions {
 #[derive(Deserialize)]
 #[serde(rename_all = "camelCase")]
 pub(super) struct Compression {
+    #[serde(deserialize_with = "whole")]
     pub(super) buffer: usize,
-    #[serde(default)]
+    #[serde(default, deserialize_with = "whole")]
     pub(super) byte_offset: usize,
+    #[serde(deserialize_with = "whole")]
     pub(super) byte_length: usize,
+    #[serde(deserialize_with = "whole")]
     pub(super) byte_stride: usize,
+    #[serde(deserialize_with = "whole")]
     pub(super) count: usize,
     pub(super) mode: String,
     pub(super) filter: Option<String>,
@@ -326,6 +437,7 @@ pub(super) struct Compression {
 #[serde(rename_all = "camelCase")]
 pub(super) struct Buffer {
     pub(super) uri: Option<String>,
+    #[serde(deserialize_with = "whole")]
     pub(super) byte_length: usize,
     #[serde(default)]
     pub(super) extensions: BufferExtensions,

@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use rayon::prelude::*;
 
-use super::buffers::Resources;
+use super::buffers::{Origin, Resources};
 use super::document::{Material as Definition, TextureRef, TextureTransform, label};
 use crate::import::builder::Paint;
 use crate::import::emit::Emitter;
@@ -71,11 +71,27 @@ pub(super) fn materials(
     out: &mut Emitter<'_>,
     notes: &mut Vec<String>,
 ) -> Result<BTreeMap<usize, Material>, ImportError> {
-    let requests: Vec<Request> =
+    let mut requests: Vec<Request> =
         used.iter().map(|&number| request(resources, number, notes)).collect::<Result<_, _>>()?;
+    share(resources, &mut requests);
     let wanted = requests.iter().filter_map(|request| request.wanted).collect();
     let pictures = pictures(resources, wanted, out, notes)?;
     Ok(requests.iter().map(|request| (request.number, material(request, &pictures))).collect())
+}
+
+/// Lets requests for images that stand in the same place ask for the first of them.
+fn share(resources: &Resources<'_>, requests: &mut [Request]) {
+    let images: BTreeSet<usize> =
+        requests.iter().filter_map(|request| Some(request.wanted?.0)).collect();
+    let mut by_origin: BTreeMap<Origin<'_>, usize> = BTreeMap::new();
+    let mut first: BTreeMap<usize, usize> = BTreeMap::new();
+    for image in images {
+        let same = resources.origin(image).map(|origin| *by_origin.entry(origin).or_insert(image));
+        first.insert(image, same.unwrap_or(image));
+    }
+    for (image, ..) in requests.iter_mut().filter_map(|request| request.wanted.as_mut()) {
+        *image = first[image];
+    }
 }
 
 fn material(request: &Request, pictures: &BTreeMap<Wanted, Had>) -> Material {
@@ -129,10 +145,16 @@ fn request(
     let mut wanted = None;
     if let Some(TextureRef { index, .. }) = reference {
         let (image, wrap) = texture(resources, &at, index)?;
-        match image {
-            Some(image) => wanted = Some((image, alpha != Alpha::Opaque, wrap)),
-            None => notes.push(format!(
-                "{at}: texture {index} has no PNG or JPEG image, its factor alone is used"
+        let basisu = &resources.document.textures[index].extensions.basisu;
+        match (image, basisu.source) {
+            (Some(image), _) => wanted = Some((image, alpha != Alpha::Opaque, wrap)),
+            (None, Some(_)) => notes.push(format!(
+                "{at}: texture {index} has a KTX2 image alone, which is not read (npx \
+                 @gltf-transform/cli ktxdecompress IN.glb OUT.glb converts it), its factor alone \
+                 is used"
+            )),
+            (None, None) => notes.push(format!(
+                "{at}: texture {index} has no image of a format that is read, its factor alone is used"
             )),
         }
     }
@@ -172,7 +194,9 @@ fn texture(
     let texture = document.textures.get(index).ok_or_else(|| {
         beyond(format!("it refers to texture {index} of {}", document.textures.len()))
     })?;
-    if let Some(image) = texture.source.filter(|&image| image >= document.images.len()) {
+    // The plain source is for programs that cannot read WebP.
+    let source = texture.extensions.webp.source.or(texture.source);
+    if let Some(image) = source.filter(|&image| image >= document.images.len()) {
         let images = document.images.len();
         return Err(beyond(format!("its texture {index} refers to image {image} of {images}")));
     }
@@ -190,7 +214,7 @@ fn texture(
             })
         }
     };
-    Ok((texture.source, wrap))
+    Ok((source, wrap))
 }
 
 /// A picture that was to be had.
@@ -212,22 +236,34 @@ fn pictures(
     for &(image, uses_alpha, _) in &wanted {
         by_image.entry(image).or_default().insert(uses_alpha);
     }
-    let by_image: Vec<(usize, BTreeSet<bool>)> = by_image.into_iter().collect();
     let largest = out.limits.texture_side;
+    let memory = out.limits.memory;
     let mut all = BTreeMap::new();
-    // As many at once as there are threads: pictures are large while they are decoded.
-    for few in by_image.chunks(rayon::current_num_threads()) {
-        let reduced: Vec<_> =
-            few.par_iter().map(|(image, uses)| reduced(resources, *image, uses, largest)).collect();
-        for ((image, _), pictures) in few.iter().zip(reduced) {
-            let Reduced { name, pictures } = match pictures? {
+    let mut waiting =
+        by_image.into_iter().map(|(image, uses)| encoded(resources, image, uses)).peekable();
+    while waiting.peek().is_some() {
+        // As many at once as there are threads and as the memory holds, but one at least.
+        let (mut few, mut bytes) = (Vec::new(), 0u64);
+        while let Some(next) = waiting.peek().filter(|_| few.len() < rayon::current_num_threads()) {
+            bytes = bytes.saturating_add(next.as_ref().map_or(0, Encoded::decode_bytes));
+            if bytes > memory && !few.is_empty() {
+                break;
+            }
+            few.extend(waiting.next());
+        }
+        let reduced: Vec<_> = few
+            .into_par_iter()
+            .map(|encoded| encoded.map(|encoded| encoded.reduced(resources, largest)))
+            .collect();
+        for reduced in reduced {
+            let Reduced { image, name, pictures } = match reduced? {
                 Ok(reduced) => reduced,
                 Err(note) => {
                     notes.push(note);
                     continue;
                 }
             };
-            let beside = (*image, false, [Wrap::Repeat; 2])..=(*image, true, [Wrap::Mirror; 2]);
+            let beside = (image, false, [Wrap::Repeat; 2])..=(image, true, [Wrap::Mirror; 2]);
             // Textures of this import that show the same texels in the same way.
             let mut made: BTreeMap<(bool, [Wrap; 2]), u32> = BTreeMap::new();
             for &key in wanted.range(beside) {
@@ -255,37 +291,56 @@ fn pictures(
     Ok(all)
 }
 
+/// One image that is to be decoded, for these uses of its alpha.
+struct Encoded {
+    image: usize,
+    uses: BTreeSet<bool>,
+    /// What messages call it.
+    at: String,
+    /// Why it cannot be had, if it cannot: the scene can do without.
+    bytes: Result<Vec<u8>, String>,
+}
+
 /// One image, reduced for each use of its alpha.
 struct Reduced {
+    image: usize,
     name: String,
     pictures: BTreeMap<bool, Picture>,
 }
 
-/// The inner error is a note: the image cannot be had, and the scene can do without.
-fn reduced(
+fn encoded(
     resources: &Resources<'_>,
     image: usize,
-    uses: &BTreeSet<bool>,
-    largest: u32,
-) -> Result<Result<Reduced, String>, ImportError> {
-    let (bytes, at) = match resources.image(image) {
-        Ok(found) => found,
-        Err(ImportError::MissingResource { at, uri, .. }) => {
-            return Ok(Err(format!("{at}: {uri:?} is missing, its factor alone is used")));
-        }
+    uses: BTreeSet<bool>,
+) -> Result<Encoded, ImportError> {
+    let at = resources.image_label(image);
+    let bytes = match resources.image(image) {
+        Ok(bytes) => Ok(bytes),
+        Err(ImportError::MissingResource { uri, .. }) => Err(format!("{uri:?} is missing")),
+        Err(ImportError::DataUri { what, .. }) => Err(format!("its data URI {what}")),
         Err(error) => return Err(error),
     };
-    Ok(match picture::decode(&bytes) {
-        Ok(pixels) => {
-            drop(bytes);
-            let made =
-                |&uses_alpha: &bool| (uses_alpha, picture::reduce(&pixels, uses_alpha, largest));
-            let name = resources.document.images[image].name.clone();
-            let name = name.unwrap_or_else(|| format!("image {image}"));
-            Ok(Reduced { name, pictures: uses.iter().map(made).collect() })
-        }
-        Err(why) => Err(format!("{at} cannot be decoded ({why}), its factor alone is used")),
-    })
+    Ok(Encoded { image, uses, at, bytes })
+}
+
+impl Encoded {
+    /// Bytes of memory that it takes to decode it.
+    fn decode_bytes(&self) -> u64 {
+        self.bytes.as_ref().map_or(0, |bytes| bytes.len() as u64 + picture::decode_bytes(bytes))
+    }
+
+    /// The error is a note.
+    fn reduced(self, resources: &Resources<'_>, largest: u32) -> Result<Reduced, String> {
+        let Self { image, uses, at, bytes } = self;
+        let bytes = bytes.map_err(|why| format!("{at}: {why}, its factor alone is used"))?;
+        let pixels = picture::decode(&bytes)
+            .map_err(|why| format!("{at} cannot be decoded ({why}), its factor alone is used"))?;
+        drop(bytes);
+        let made = |uses_alpha| (uses_alpha, picture::reduce(&pixels, uses_alpha, largest));
+        let name = resources.document.images[image].name.clone();
+        let name = name.unwrap_or_else(|| format!("image {image}"));
+        Ok(Reduced { image, name, pictures: uses.into_iter().map(made).collect() })
+    }
 }
 
 #[cfg(test)]

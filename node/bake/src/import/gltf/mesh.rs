@@ -8,9 +8,10 @@ use super::buffers::Resources;
 use super::document::{Primitive, label};
 use super::material::{Mapping, Material};
 use super::triangles::Topology;
-use crate::import::builder::{Builder, Draft, Vertices};
+use crate::import::builder::{Builder, Draft, Paint, Vertices};
 use crate::import::error::ImportError;
-use crate::source::PART_TRIANGLES;
+use crate::import::picture;
+use crate::source::{Alpha, PART_TRIANGLES};
 
 /// What was left out or mended while meshes were read; sums over any number of meshes.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -31,6 +32,9 @@ pub(super) struct Tally {
     pub(super) mended_tex_coords: u64,
     /// Primitives with a texture and no coordinates for it.
     pub(super) without_tex_coords: u64,
+    /// Primitives of which something is seen, and those whose alpha hides all.
+    pub(super) seen: u64,
+    pub(super) unseen: u64,
 }
 
 impl Tally {
@@ -43,6 +47,8 @@ impl Tally {
         self.mended_normals += other.mended_normals;
         self.mended_tex_coords += other.mended_tex_coords;
         self.without_tex_coords += other.without_tex_coords;
+        self.seen += other.seen;
+        self.unseen += other.unseen;
     }
 }
 
@@ -116,6 +122,18 @@ pub(super) fn portions(resources: &Resources<'_>, number: usize) -> Vec<Portion>
     portions
 }
 
+/// Triangles that mesh `number` claims, where the bytes are there that it claims them of.
+pub(super) fn triangles(resources: &Resources<'_>, number: usize) -> u64 {
+    let (document, honest) = (resources.document, resources.total_bytes());
+    let of = |primitive: &Primitive| {
+        let corners = primitive.indices.or(primitive.attributes.position)?;
+        let count = document.accessors.get(corners)?.count;
+        let topology = Topology::of(primitive.mode.unwrap_or(LIST))?;
+        (count as u64 <= honest).then(|| topology.triangles(count) as u64)
+    };
+    document.meshes[number].primitives.iter().filter_map(of).fold(0, u64::saturating_add)
+}
+
 /// Stands for all triangles of a primitive.
 const ALL: Range<usize> = 0..usize::MAX;
 /// The mode of a primitive that does not name one.
@@ -154,15 +172,14 @@ fn append(
     builder: &mut Builder,
     tally: &mut Tally,
 ) -> Result<(), ImportError> {
-    let topology = match primitive.mode.unwrap_or(LIST) {
-        0..=3 => {
+    let mode = primitive.mode.unwrap_or(LIST);
+    let topology = match Topology::of(mode) {
+        Some(topology) => topology,
+        None if mode < LIST => {
             tally.points_and_lines += 1;
             return Ok(());
         }
-        4 => Topology::List,
-        5 => Topology::Strip,
-        6 => Topology::Fan,
-        mode => return Err(resources.broken(at, format!("its mode {mode} does not exist"))),
+        None => return Err(resources.broken(at, format!("its mode {mode} does not exist"))),
     };
     let open = |attribute: &str, accessor: Option<usize>, role| {
         let open = |a| Accessor::open(resources, &format!("{at}, {attribute}"), a, role);
@@ -231,12 +248,36 @@ fn append(
         paint.texture_is_opaque = true;
         paint.color.iter_mut().zip(mapping.mean).for_each(|(lane, mean)| *lane *= mean);
     }
+    if corners.count() > 0 {
+        let is_seen = is_seen(&paint, material.mapping, &vertices);
+        tally.seen += u64::from(is_seen);
+        tally.unseen += u64::from(!is_seen);
+    }
     let triangles = (0..topology.triangles(corners.count()))
         .map(|t| topology.corners(t).map(|corner| corners.vertex(corner)));
     builder.append(&paint, &vertices, triangles).map_err(|fault| {
         let (what, fix) = fault.numbered_from(vertices.first).explain();
         resources.invalid(at.into(), what, fix)
     })
+}
+
+/// Whether alpha leaves anything to be seen of a surface.
+fn is_seen(paint: &Paint, mapping: Option<Mapping>, vertices: &Loaded) -> bool {
+    let is_enough = |alpha: f64| match paint.surface.alpha {
+        Alpha::Opaque => true,
+        Alpha::Mask(cutoff) => alpha >= f64::from(cutoff),
+        // What eight bits hold.
+        Alpha::Blend => alpha * 255.0 >= 0.5,
+    };
+    let textured = mapping.filter(|_| paint.surface.texture.is_some());
+    // The mean of a picture tells only whether it has any alpha.
+    let picture = textured.map_or(1.0, |mapping| f64::from(mapping.mean[3] > picture::UNSEEN_MEAN));
+    let factor = paint.color[3] * picture;
+    is_enough(factor)
+        && (vertices.colors.is_none() || {
+            let mut own = (0..vertices.count()).map(|vertex| vertices.color(vertex)[3]);
+            own.any(|alpha| is_enough(factor * f64::from(alpha)))
+        })
 }
 
 /// The vertices that follow each other, by number from the first one in use.

@@ -9,6 +9,7 @@ mod buffers;
 mod compressed;
 mod container;
 mod document;
+mod lenient;
 mod material;
 mod mesh;
 mod nodes;
@@ -19,19 +20,19 @@ mod testing;
 mod tests;
 mod triangles;
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::path::Path;
 
 use glam::DMat3;
 use rayon::prelude::*;
 
 use self::buffers::Resources;
-use self::document::{Document, label};
+use self::document::{Document, Primitive, label};
 use self::material::Material;
 use self::mesh::{Portion, Tally};
 use self::nodes::Placement;
 use super::builder::Draft;
-use super::emit::Emitter;
+use super::emit::{ALL_UNSEEN, Emitter};
 use super::error::ImportError;
 use super::store::Store;
 use crate::source::{Imported, SourceMesh, SourceObject};
@@ -42,6 +43,10 @@ const UP: [f64; 3] = [0.0, 1.0, 0.0];
 /// keeps all threads busy.
 const BATCHES: u64 = 4;
 const MOST_BATCH_BYTES: u64 = 64 << 20;
+/// Triangles that any file may name, and those it may name more for each of its bytes. An index takes a
+/// byte at least, so a list would have to be used some fifty times.
+const FREE_TRIANGLES: u64 = 1 << 24;
+const TRIANGLES_A_BYTE: u64 = 16;
 
 /// Reads the scene file at `path`, and the buffers and textures it refers to.
 ///
@@ -53,17 +58,21 @@ pub(super) fn import(path: &Path, out: Emitter<'_>) -> Result<Imported, ImportEr
 }
 
 fn import_store(file: &Path, store: Store, mut out: Emitter<'_>) -> Result<Imported, ImportError> {
-    let parts = container::split(file, &store)?;
+    let mut notes = Vec::new();
+    let parts = container::split(file, &store, &mut notes)?;
     let length = usize::try_from(parts.json.end - parts.json.start).unwrap_or(usize::MAX);
     let json = store
         .read(parts.json.start, length)
         .map_err(|source| ImportError::unreadable(file, source))?;
-    let document = container::parse(file, &json)?;
+    let document = container::parse(file, &json, &mut notes)?;
     drop(json);
     let resources = Resources::load(file, &document, store, parts.bin)?;
-    let placements = nodes::placements(&resources)?;
+    let mut placements = nodes::placements(&resources, &out.limits.scene, &mut notes)?;
+    let first = first_alike(&document);
+    placements.iter_mut().for_each(|placement| placement.mesh = first[placement.mesh]);
+    hold_total(&resources, &placements, length as u64)?;
 
-    let mut notes = describe_ignored(&document);
+    describe_ignored(&document, &mut notes);
     let used = materials_of(&resources, placements.iter().map(|placement| placement.mesh))?;
     let materials = material::materials(&resources, &used, &mut out, &mut notes)?;
     let mut reader = Reader {
@@ -76,6 +85,49 @@ fn import_store(file: &Path, store: Store, mut out: Emitter<'_>) -> Result<Impor
     let objects = reader.objects(placements, &mut notes)?;
     let Reader { out, .. } = reader;
     out.finish(objects, UP, notes)
+}
+
+/// By mesh: the first that looks the same, which stands for it.
+fn first_alike(document: &Document) -> Vec<usize> {
+    let mut known = HashMap::new();
+    let mut first = Vec::with_capacity(document.meshes.len());
+    for (number, mesh) in document.meshes.iter().enumerate() {
+        let key: Vec<_> = mesh.primitives.iter().map(Primitive::key).collect();
+        first.push(*known.entry(key).or_insert(number));
+    }
+    first
+}
+
+/// Refuses a file that names many more triangles than its bytes can account for: by using the same
+/// lists again and again, a small one makes any amount of work.
+fn hold_total(
+    resources: &Resources<'_>,
+    placements: &[Placement],
+    json_bytes: u64,
+) -> Result<(), ImportError> {
+    // A mesh is read once for all that show it, and once for each that presses it flat.
+    let mut shown = BTreeMap::new();
+    for placement in placements {
+        let times = shown.entry(placement.mesh).or_insert([0u64; 2]);
+        times[usize::from(press::is_flat(&placement.world_from_mesh))] += 1;
+    }
+    let claimed = shown.into_iter().map(|(mesh, [upright, flat])| {
+        let times = upright.min(1) + flat;
+        (mesh, mesh::triangles(resources, mesh).saturating_mul(times))
+    });
+    let claimed: Vec<(usize, u64)> = claimed.collect();
+    let total = claimed.iter().fold(0u64, |sum, (_, triangles)| sum.saturating_add(*triangles));
+    let bytes = resources.total_bytes().saturating_add(json_bytes);
+    if total <= FREE_TRIANGLES.max(bytes.saturating_mul(TRIANGLES_A_BYTE)) {
+        return Ok(());
+    }
+    let most = claimed.iter().max_by_key(|(_, triangles)| triangles).map_or(0, |(mesh, _)| *mesh);
+    let name = resources.document.meshes[most].name.as_ref();
+    let what = format!(
+        "with it the scene names {total} triangles in {bytes} bytes, the same lists again and again"
+    );
+    let fix = "let nodes share a mesh instead, or divide the scene";
+    Err(resources.invalid(label("mesh", most, name), what, fix))
 }
 
 /// The materials that the `shown` meshes use, every reference checked.
@@ -234,12 +286,16 @@ impl Reader<'_, '_> {
     }
 }
 
-fn describe_ignored(document: &Document) -> Vec<String> {
-    let mut notes = Vec::new();
+fn describe_ignored(document: &Document, notes: &mut Vec<String>) {
     let counted = [
         (document.cameras.len(), "cameras ignored"),
         (document.skins.len(), "skins ignored, the base pose is used"),
         (document.animations.len(), "animations ignored, the base pose is used"),
+        (document.extensions.lights.lights.len(), "lights ignored"),
+        (
+            document.extensions.variants.variants.len(),
+            "variants of materials ignored, each primitive's own material is used",
+        ),
     ];
     notes.extend(
         counted
@@ -252,10 +308,12 @@ fn describe_ignored(document: &Document) -> Vec<String> {
             notes.push(format!("optional extension {extension} ignored"));
         }
     }
-    notes
 }
 
 fn describe_tally(tally: &Tally, objects_without_triangles: usize, notes: &mut Vec<String>) {
+    if tally.unseen > 0 && tally.seen == 0 {
+        notes.push(ALL_UNSEEN.into());
+    }
     let counted = [
         (tally.points_and_lines, "point and line primitives skipped"),
         (tally.without_positions, "primitives without positions skipped"),

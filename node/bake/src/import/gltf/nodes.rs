@@ -18,9 +18,13 @@ pub(super) struct Placement {
 
 /// Every mesh the scene shows, in depth-first order.
 ///
-/// The scene is the default one, else the first, else all nodes without a parent. A node with two
-/// parents, or among its own descendants, is refused.
-pub(super) fn placements(resources: &Resources<'_>) -> Result<Vec<Placement>, ImportError> {
+/// The scene is the one that is `asked` for by name or number, else the default one, else the first,
+/// else all nodes without a parent. A node with two parents, or among its own descendants, is refused.
+pub(super) fn placements(
+    resources: &Resources<'_>,
+    asked: &str,
+    notes: &mut Vec<String>,
+) -> Result<Vec<Placement>, ImportError> {
     let nodes = &resources.document.nodes;
     let name = |number: usize| label("node", number, nodes[number].name.as_ref());
     let no_tree = |number: usize, what: String| {
@@ -46,7 +50,8 @@ pub(super) fn placements(resources: &Resources<'_>) -> Result<Vec<Placement>, Im
 
     // Last in, first out: pushed in reverse, nodes come off in the file's order. A stack of our
     // own, because the depth of the tree is the file's to choose.
-    let mut stack: Vec<(usize, DAffine3)> = roots(resources, &parents)?
+    let scene = scene(resources, asked)?;
+    let mut stack: Vec<(usize, DAffine3)> = roots(resources, scene, &parents)?
         .into_iter()
         .rev()
         .map(|root| (root, DAffine3::IDENTITY))
@@ -96,26 +101,55 @@ pub(super) fn placements(resources: &Resources<'_>) -> Result<Vec<Placement>, Im
             }
         }
     }
+    let scenes = &resources.document.scenes;
+    if let Some(number) = scene.filter(|_| scenes.len() > 1) {
+        let taken = label("scene", number, scenes[number].name.as_ref());
+        let others = scenes.len() - 1;
+        notes.push(format!("{others} other scenes left out, {taken} is read (see --scene)"));
+    }
+    let unseen = nodes.iter().zip(seen).filter(|(node, seen)| node.mesh.is_some() && !seen).count();
+    if unseen > 0 {
+        notes.push(format!("{unseen} nodes with meshes are not in the scene that is read"));
+    }
     Ok(placements)
 }
 
-fn roots(resources: &Resources<'_>, parents: &[Option<usize>]) -> Result<Vec<usize>, ImportError> {
+/// The number of the scene to read, if the file has any.
+fn scene(resources: &Resources<'_>, asked: &str) -> Result<Option<usize>, ImportError> {
     let document = resources.document;
-    let scene = match document.scene {
-        Some(number) => Some((
-            number,
-            document.scenes.get(number).ok_or_else(|| {
-                resources.broken(
-                    "default scene",
-                    format!("it is number {number} of {}", document.scenes.len()),
-                )
-            })?,
-        )),
-        None => document.scenes.first().map(|scene| (0, scene)),
-    };
-    let Some((number, scene)) = scene else {
+    let scenes = &document.scenes;
+    if asked.is_empty() {
+        return match document.scene {
+            Some(number) if number >= scenes.len() => {
+                let what = format!("it is number {number} of {}", scenes.len());
+                Err(resources.broken("default scene", what))
+            }
+            Some(number) => Ok(Some(number)),
+            None => Ok((!scenes.is_empty()).then_some(0)),
+        };
+    }
+    let named = scenes.iter().position(|scene| scene.name.as_deref() == Some(asked));
+    let numbered = || asked.parse().ok().filter(|&number: &usize| number < scenes.len());
+    named.or_else(numbered).map(Some).ok_or_else(|| {
+        const MOST_NAMED: usize = 20;
+        let all = scenes.iter().enumerate().take(MOST_NAMED);
+        let all: Vec<String> =
+            all.map(|(number, scene)| label("scene", number, scene.name.as_ref())).collect();
+        let what =
+            format!("none of {} is named or numbered {asked:?}: {}", scenes.len(), all.join(", "));
+        resources.invalid("scenes".into(), what, "give another to --scene, or leave it out")
+    })
+}
+
+fn roots(
+    resources: &Resources<'_>,
+    scene: Option<usize>,
+    parents: &[Option<usize>],
+) -> Result<Vec<usize>, ImportError> {
+    let Some(number) = scene else {
         return Ok((0..parents.len()).filter(|&node| parents[node].is_none()).collect());
     };
+    let scene = &resources.document.scenes[number];
     for &root in &scene.nodes {
         if root >= parents.len() {
             let what = format!("its root {root} is not among the {} nodes", parents.len());
@@ -175,12 +209,20 @@ fn unit_rotation(stored: [f64; 4]) -> Result<DQuat, &'static str> {
     Ok(rotation / length)
 }
 
+/// How far the bottom row of a matrix may be from 0 0 0 1 by rounding, relative to the largest number
+/// that turns and scales. No projection comes near it.
+const ROUNDING: f64 = 1e-5;
+
 /// A node's own transform: its matrix, or translation after rotation after scale.
 fn local_transform(node: &Node) -> Result<DAffine3, String> {
     if let Some(m) = &node.matrix {
         // Column by column, so the bottom row is every fourth number.
-        if [m[3], m[7], m[11], m[15]] != [0.0, 0.0, 0.0, 1.0] {
-            return Err("the bottom row of its matrix is not 0 0 0 1".into());
+        let far = m.iter().enumerate().filter(|(place, _)| place % 4 < 3 && *place < 12);
+        let far = far.fold(1.0, |far: f64, (_, lane)| far.max(lane.abs()));
+        let is_zero = |lane: f64| lane.abs() <= ROUNDING * far;
+        let is_rounded = [m[3], m[7], m[11]].into_iter().all(is_zero);
+        if !(is_rounded && (m[15] - 1.0).abs() <= ROUNDING) {
+            return Err("the bottom row of its matrix is not 0 0 0 1: it is a projection".into());
         }
         let column = |c: usize| DVec3::new(m[4 * c], m[4 * c + 1], m[4 * c + 2]);
         return Ok(DAffine3::from_mat3_translation(

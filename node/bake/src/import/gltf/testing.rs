@@ -6,9 +6,9 @@ use std::path::Path;
 use serde_json::{Value, json};
 
 use super::import_store;
-use crate::import::ImportError;
 use crate::import::store::Store;
-use crate::import::testing::collect;
+use crate::import::testing::{collect, collect_within};
+use crate::import::{ImportError, ImportLimits};
 use crate::source::Source;
 
 /// What a file of these bytes holds, for tests that need no file.
@@ -120,6 +120,13 @@ impl Scene {
 
     pub(super) fn import(&self) -> Result<Source, ImportError> {
         import_bytes(Path::new("scene.glb"), &self.bytes())
+    }
+
+    /// The same within other limits.
+    pub(super) fn import_within(&self, limits: ImportLimits) -> Result<Source, ImportError> {
+        let file = Path::new("scene.glb");
+        let store = Store::memory(self.bytes());
+        collect_within("scene.glb", limits, |out| import_store(file, store, out))
     }
 
     /// The message of the error this scene must give; it names the file.

@@ -12,6 +12,16 @@ pub(super) enum Topology {
 }
 
 impl Topology {
+    /// Of the mode of a primitive that makes triangles.
+    pub(super) fn of(mode: u64) -> Option<Self> {
+        match mode {
+            4 => Some(Self::List),
+            5 => Some(Self::Strip),
+            6 => Some(Self::Fan),
+            _ => None,
+        }
+    }
+
     /// Triangles that `corners` corners make; a remainder too short for one makes none.
     pub(super) fn triangles(self, corners: usize) -> usize {
         match self {

@@ -117,7 +117,7 @@ fn coordinates_far_from_the_origin_keep_their_digits() {
 
 #[test]
 fn sizes_far_from_one_keep_their_triangles() {
-    for size in ["1e-6", "1e6", "1e30"] {
+    for size in ["1e-6", "1e6", "1e17"] {
         let text = TEXT.replace("\n1 0 0 9", &format!("\n{size} 0 0 9"));
         let source = parse(text.as_bytes()).unwrap();
         assert_eq!(source.meshes[0].indices.len(), 2, "{size}");

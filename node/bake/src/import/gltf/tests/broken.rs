@@ -137,6 +137,69 @@ fn positions_and_transforms_must_be_finite() {
 }
 
 #[test]
+fn projections_are_refused() {
+    let cosine = 0.999_8;
+    for bottom in [[0.0, 0.0, -1.0, 0.0], [0.0, 0.0, 0.001, 1.0], [0.0, 0.0, 0.0, cosine]] {
+        let [a, b, c, d] = bottom;
+        let node = json!([{"mesh": 0, "matrix": [1,0,0,a, 0,1,0,b, 0,0,1,c, 0,0,0,d]}]);
+        assert!(edited("/nodes", node).contains("it is a projection"), "{bottom:?}");
+    }
+}
+
+#[test]
+fn what_stands_or_reaches_too_far_is_refused_by_name() {
+    for size in [1.1e18, 1e30, 1e100, 1e160, 1e300] {
+        for node in [
+            json!({"name": "hall", "mesh": 0, "scale": [size, size, size]}),
+            json!({"name": "hall", "mesh": 0, "scale": [1.0, 1.0, -size]}),
+            json!({"name": "hall", "mesh": 0, "translation": [0.0, -size, 0.0]}),
+        ] {
+            let message = edited("/nodes", json!([node, {"mesh": 0}]));
+            assert!(message.contains("object \"hall\": it reaches 1"), "{message}");
+        }
+    }
+    let mut scene = Scene::triangle();
+    scene.json["nodes"][0] =
+        json!({"mesh": 0, "scale": [5e17, 5e17, 5e17], "translation": [5e17, 0.0, 0.0]});
+    assert!(scene.import().is_ok());
+}
+
+#[test]
+fn a_list_used_again_and_again_is_refused_before_it_is_read() {
+    let many = |by_nodes: bool, times: usize| {
+        let mut scene = Scene::triangle();
+        let corners = scene.accessor(U8, "SCALAR", 60_000, &[0, 1, 2].repeat(20_000));
+        let primitive = json!({"attributes": {"POSITION": 0}, "indices": corners});
+        // Else one mesh would stand for all.
+        let named = |place: usize| json!({"primitives": [primitive, {"attributes": {"POSITION": 0, "NORMAL": 0}, "mode": 4, "material": place}]});
+        match by_nodes {
+            false => {
+                scene.json["meshes"] =
+                    json!([{"name": "bomb", "primitives": vec![primitive.clone(); times]}])
+            }
+            true => {
+                scene.json["materials"] = json!(vec![json!({}); times]);
+                scene.json["meshes"] = (0..times).map(named).collect();
+                scene.json["nodes"] = (0..times).map(|mesh| json!({"mesh": mesh})).collect();
+            }
+        }
+        scene
+    };
+    let message = many(false, 900).error();
+    assert!(
+        message.contains("mesh 0 \"bomb\": with it the scene names 18000000 triangles"),
+        "{message}"
+    );
+    assert!(many(true, 900).error().contains("the same lists again and again"));
+    let mut flat = many(false, 1);
+    flat.json["nodes"] = json!(vec![json!({"mesh": 0, "scale": [1.0, 1.0, 0.0]}); 900]);
+    assert!(flat.error().contains("18000000 triangles"), "{}", flat.error());
+    flat.json["nodes"] = json!(vec![json!({"mesh": 0}); 900]);
+    assert_eq!(flat.import().unwrap().objects.len(), 900);
+    assert_eq!(many(false, 3).import().unwrap().triangles(), 60_000);
+}
+
+#[test]
 fn node_graphs_that_are_no_trees() {
     for nodes in [
         json!([{"mesh": 0, "children": [0]}]),

@@ -4,8 +4,8 @@ use glam::DVec3;
 use serde_json::json;
 
 use crate::import::gltf::testing::{F32, Scene, U8, U16, U32, glb, import_bytes};
-use crate::import::import_all as import;
-use crate::source::{Section, Source, Surface};
+use crate::import::{ImportLimits, import_all as import};
+use crate::source::{Alpha, Section, Source, Surface};
 
 fn world(source: &Source, object: usize) -> Vec<DVec3> {
     let object = &source.objects[object];
@@ -329,4 +329,143 @@ fn chunks_of_unknown_kind_are_passed_over() {
     let file = std::path::Path::new("scene.glb");
     assert_eq!(import_bytes(file, &bytes).unwrap(), Scene::triangle().import().unwrap());
     assert!(import_bytes(file, &glb("[]", &[])).is_err());
+}
+
+#[test]
+fn of_several_scenes_one_is_read_and_the_others_are_noted() {
+    let mut scene = Scene::triangle();
+    scene.json["nodes"] =
+        json!([{"name": "a", "mesh": 0}, {"name": "b", "mesh": 0}, {"name": "c", "mesh": 0}]);
+    scene.json["scenes"] =
+        json!([{"nodes": [0]}, {"name": "1", "nodes": [1, 2]}, {"name": "main", "nodes": [2]}]);
+    let read = |asked: &str| {
+        scene.import_within(ImportLimits { scene: asked.into(), ..ImportLimits::default() })
+    };
+    let names = |asked: &str| -> Vec<String> {
+        let source = read(asked).unwrap();
+        assert!(source.notes[0].starts_with("2 other scenes left out"), "{:?}", source.notes);
+        source.objects.into_iter().map(|object| object.name).collect()
+    };
+    assert_eq!(names(""), ["a"]);
+    assert_eq!(names("main"), ["c"]);
+    assert_eq!((names("0"), names("2")), (vec!["a".into()], vec!["c".into()]));
+    // A name comes before a number.
+    assert_eq!(names("1"), ["b", "c"]);
+    assert_eq!(
+        read("2").unwrap().notes[1],
+        "2 nodes with meshes are not in the scene that is read"
+    );
+    for asked in ["else", "3", "-1"] {
+        let message = read(asked).unwrap_err().to_string();
+        assert!(message.contains(asked) && message.contains("scene 2 \"main\""), "{message}");
+    }
+    scene.json["scene"] = json!(1);
+    assert_eq!(scene.import().unwrap().objects.len(), 2);
+    // Without any scene all that hangs on a root is read.
+    scene.json["scenes"] = json!([]);
+    scene.json.as_object_mut().unwrap().remove("scene");
+    scene.json["nodes"] = json!([{"mesh": 0}, {"mesh": 0, "children": [2]}, {"children": [1]}]);
+    assert_eq!(
+        scene.import().unwrap().notes,
+        ["1 nodes with meshes are not in the scene that is read"]
+    );
+}
+
+#[test]
+fn lights_and_variants_are_noted() {
+    let mut scene = Scene::triangle();
+    scene.json["extensions"] = json!({
+        "KHR_lights_punctual": {"lights": [{}, {}]}, "KHR_materials_variants": {"variants": [{}]},
+    });
+    let notes = scene.import().unwrap().notes;
+    assert!(notes[0] == "2 lights ignored" && notes[1].starts_with("1 variants"), "{notes:?}");
+}
+
+#[test]
+fn whole_numbers_may_have_a_point_everywhere() {
+    let mut scene = Scene::triangle();
+    let places = scene.floats("VEC3", &[1.0, 0.0, 0.0, 2.0, 0.0, 0.0]);
+    scene.json["scene"] = json!(0);
+    scene.json["scenes"] = json!([{"nodes": [0]}]);
+    let instances = json!({"attributes": {"TRANSLATION": places}});
+    scene.json["nodes"] = json!([{"children": [1]}, {"mesh": 0, "extensions": {"EXT_mesh_gpu_instancing": instances}}]);
+    scene.json["materials"] = json!([{}]);
+    scene.json["meshes"][0]["primitives"][0]["material"] = json!(0);
+    scene.json["meshes"][0]["primitives"][0]["mode"] = json!(4);
+    scene.json["buffers"][0]["byteLength"] = json!(scene.bin.len());
+    fn pointed(value: &mut serde_json::Value) {
+        match value {
+            serde_json::Value::Number(number) => {
+                *value = json!(number.as_f64().unwrap());
+                assert!(value.to_string().contains('.'));
+            }
+            serde_json::Value::Array(all) => all.iter_mut().for_each(pointed),
+            serde_json::Value::Object(all) => all.values_mut().for_each(pointed),
+            _ => {}
+        }
+    }
+    let plain = scene.import().unwrap();
+    pointed(&mut scene.json);
+    assert_eq!(scene.import().unwrap(), plain);
+}
+
+#[test]
+fn a_matrix_may_be_rounded_in_its_bottom_row() {
+    for (size, bottom) in [
+        (1.0, [0.0, 0.0, 0.0, 0.999_999_9]),
+        (1.0, [1e-9, -1e-7, 0.0, 1.0]),
+        (1000.0, [0.0, 1e-4, 0.0, 1.000_001]),
+    ] {
+        let mut scene = Scene::triangle();
+        let [a, b, c, d] = bottom;
+        scene.json["nodes"][0]["matrix"] =
+            json!([size, 0, 0, a, 0, size, 0, b, 0, 0, size, c, 5, 0, 0, d]);
+        let source = scene.import().unwrap();
+        assert_eq!(world(&source, 0)[1], DVec3::new(5.0 + size, 0.0, 0.0));
+    }
+}
+
+#[test]
+fn meshes_of_the_same_primitives_are_one() {
+    let mut scene = Scene::triangle();
+    let mesh = |material: usize, mode: u64| json!({"primitives": [{"attributes": {"POSITION": 0}, "indices": 1, "material": material, "mode": mode}]});
+    scene.json["materials"] = json!([{}, {"doubleSided": true}]);
+    scene.json["meshes"] = json!([mesh(0, 4), mesh(1, 4), mesh(0, 4), mesh(0, 5)]);
+    scene.json["nodes"] = json!([{"mesh": 0}, {"mesh": 1}, {"mesh": 2}, {"mesh": 3}]);
+    let source = scene.import().unwrap();
+    let meshes: Vec<usize> = source.objects.iter().map(|object| object.mesh).collect();
+    assert_eq!((source.meshes.len(), meshes), (3, vec![0, 1, 0, 2]));
+}
+
+#[test]
+fn what_alpha_hides_altogether_is_noted() {
+    let faded = |factor: f64, mode: &str, vertex: u8| {
+        let mut scene = Scene::triangle();
+        let colors = scene.accessor(U8, "VEC4", 3, &[9, 9, 9, vertex].repeat(3));
+        let factor = json!({"baseColorFactor": [1.0, 1.0, 1.0, factor]});
+        scene.add("materials", json!({"alphaMode": mode, "pbrMetallicRoughness": factor}));
+        scene.json["meshes"][0]["primitives"][0]["material"] = json!(0);
+        scene.json["meshes"][0]["primitives"][0]["attributes"]["COLOR_0"] = json!(colors);
+        scene
+    };
+    for (factor, mode, vertex, is_hidden) in [
+        (0.0, "BLEND", 255, true),
+        (1.0, "BLEND", 0, true),
+        (0.4, "MASK", 255, true),
+        (0.9, "MASK", 100, true),
+        (0.0, "OPAQUE", 0, false),
+        (0.1, "BLEND", 255, false),
+        (0.6, "MASK", 255, false),
+    ] {
+        let mut scene = faded(factor, mode, vertex);
+        let notes = scene.import().unwrap().notes;
+        let found =
+            notes.iter().any(|note| note.starts_with("all of it is transparent: alpha is 0"));
+        assert_eq!(found, is_hidden, "{factor} {mode} {vertex}: {notes:?}");
+        // Something else is to be seen.
+        let second = json!({"attributes": {"POSITION": 0}});
+        scene.json["meshes"][0]["primitives"].as_array_mut().unwrap().push(second);
+        assert!(scene.import().unwrap().notes.is_empty());
+    }
+    assert_eq!(faded(0.6, "MASK", 255).import().unwrap().surfaces[1].alpha, Alpha::Mask(0.5));
 }

@@ -3,8 +3,8 @@
 use serde_json::{Value, json};
 
 use crate::import::gltf::testing::{F32, Scene, U8, png};
-use crate::import::import_all;
 use crate::import::testing::TEXTURE_SIDE;
+use crate::import::{ImportLimits, import_all};
 use crate::source::{Alpha, Section, Source, Surface, Wrap};
 
 const BLACK: [u8; 4] = [0, 0, 0, 255];
@@ -216,4 +216,106 @@ fn vertex_alpha_makes_a_blended_surface_blend() {
         primitive["material"] = json!(0);
         assert_eq!(surface(&scene.import().unwrap()).alpha, expected);
     }
+}
+
+#[test]
+fn a_broken_data_uri_is_a_picture_that_cannot_be_had() {
+    for uri in ["data:image/png;base64,@@@@", "data:image/png;base64,AAAAA", "data:image/png"] {
+        let source = textured(json!({"uri": uri})).import().unwrap();
+        assert!(source.textures.is_empty());
+        let [note] = &source.notes[..] else { panic!("{:?}", source.notes) };
+        assert!(note.starts_with("image 0: its data URI "), "{note}");
+    }
+}
+
+#[test]
+fn images_that_stand_in_one_place_are_one_texture() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::create_dir(folder.path().join("deep")).unwrap();
+    let picture = png(2, 2, &CORNER);
+    std::fs::write(folder.path().join("deep/wall.png"), &picture).unwrap();
+    let escaped: String = picture.iter().map(|byte| format!("%{byte:02X}")).collect();
+    let data = format!("data:image/png,{escaped}");
+    let mut scene = pictured(2, 2, &CORNER);
+    let view = scene.json["images"][0]["bufferView"].clone();
+    let again = scene.json["bufferViews"][view.as_u64().unwrap() as usize].clone();
+    let again = scene.add("bufferViews", again);
+    for (image, expected) in [
+        (json!({"bufferView": view}), 1),
+        (json!({"bufferView": again}), 1),
+        (json!({"uri": data}), 2),
+        (json!({"uri": data}), 2),
+        (json!({"uri": "deep/wall.png"}), 3),
+        (json!({"uri": "./deep\\wall%2Epng"}), 3),
+        (json!({"uri": "none.png"}), 3),
+        (json!({"uri": "none.png"}), 3),
+    ] {
+        let image = scene.add("images", image);
+        let texture = scene.add("textures", json!({"source": image}));
+        let material = json!({"pbrMetallicRoughness": {"baseColorTexture": {"index": texture}}});
+        let number = scene.add("materials", material);
+        let mut primitive = scene.json["meshes"][0]["primitives"][0].clone();
+        primitive["material"] = json!(number);
+        scene.json["meshes"][0]["primitives"].as_array_mut().unwrap().push(primitive);
+        let file = folder.path().join("scene.glb");
+        std::fs::write(&file, scene.bytes()).unwrap();
+        let source = import_all(&file).unwrap();
+        assert_eq!(source.textures.len(), expected);
+    }
+}
+
+#[test]
+fn a_webp_stands_before_what_it_falls_back_to() {
+    let texels: Vec<u8> = CORNER.concat().iter().map(|lane| 255 - lane / 2).collect();
+    let mut webp = std::io::Cursor::new(Vec::new());
+    let picture = image::RgbaImage::from_raw(2, 2, texels.clone()).unwrap();
+    picture.write_to(&mut webp, image::ImageFormat::WebP).unwrap();
+    for (texture, rgba) in [
+        (json!({"source": 0}), CORNER.concat()),
+        (json!({"source": 0, "extensions": {"EXT_texture_webp": {"source": 1.0}}}), texels.clone()),
+        (json!({"extensions": {"EXT_texture_webp": {"source": 1}}}), texels),
+    ] {
+        let mut scene = pictured(2, 2, &CORNER);
+        let view = scene.view(webp.get_ref());
+        scene.add("images", json!({"bufferView": view, "mimeType": "image/webp"}));
+        scene.json["textures"][0] = texture;
+        scene.json["extensionsRequired"] = json!(["EXT_texture_webp"]);
+        let source = scene.import().unwrap();
+        let opaque = |texel: &[u8; 4]| [texel[0], texel[1], texel[2], 255];
+        let rgba: Vec<[u8; 4]> = rgba.as_chunks::<4>().0.iter().map(opaque).collect();
+        assert_eq!(source.textures[0].rgba, rgba.concat());
+    }
+    let mut scene = pictured(2, 2, &CORNER);
+    scene.json["textures"][0] = json!({"extensions": {"EXT_texture_webp": {"source": 5}}});
+    assert!(scene.error().contains("refers to image 5 of 1"), "{}", scene.error());
+}
+
+#[test]
+fn a_ktx2_picture_is_named_as_such() {
+    let mut scene = pictured(2, 2, &CORNER);
+    scene.json["textures"][0] = json!({"extensions": {"KHR_texture_basisu": {"source": 0}}});
+    let notes = scene.import().unwrap().notes;
+    assert!(notes[0].contains("KTX2") && notes[0].contains("cli ktxdecompress"), "{notes:?}");
+    let ktx2 = textured(json!({"uri": "data:image/ktx2,%ABKTX 20%BB%0D%0A%1A%0A"}));
+    let notes = ktx2.import().unwrap().notes;
+    assert!(notes[0].contains("it is KTX2"), "{notes:?}");
+}
+
+#[test]
+fn pictures_come_out_the_same_with_little_memory() {
+    let mut scene = pictured(2, 2, &CORNER);
+    for blue in 0..9 {
+        let view = scene.view(&png(2, 2, &[WHITE, WHITE, BLACK, [9, 9, blue, 255]]));
+        let image = scene.add("images", json!({"bufferView": view}));
+        let texture = scene.add("textures", json!({"source": image}));
+        let material = json!({"pbrMetallicRoughness": {"baseColorTexture": {"index": texture}}});
+        let number = scene.add("materials", material);
+        let mut primitive = scene.json["meshes"][0]["primitives"][0].clone();
+        primitive["material"] = json!(number);
+        scene.json["meshes"][0]["primitives"].as_array_mut().unwrap().push(primitive);
+    }
+    let with = |memory| scene.import_within(ImportLimits { memory, ..ImportLimits::default() });
+    let much = with(1 << 30).unwrap();
+    assert_eq!(much.textures.len(), 10);
+    assert_eq!(with(1).unwrap(), much);
 }
