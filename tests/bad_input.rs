@@ -396,8 +396,9 @@ fn a_stderr_that_takes_nothing_changes_no_exit_code() {
         assert_eq!(code(&replay, full().into()), code(&replay, Stdio::null()));
     }
     // Results that cannot be written are a failure, told or not.
-    let status = occluster().args(["inspect", text(&scene.occ)]).stdout(full()).stderr(full());
-    assert_eq!(status.status().unwrap().code(), Some(74));
+    let mut inspect = occluster();
+    inspect.args(["inspect", text(&scene.occ)]).stdout(full()).stderr(full());
+    assert_eq!(inspect.status().unwrap().code(), Some(74));
 }
 
 #[test]
@@ -405,15 +406,13 @@ fn a_refused_run_removes_nothing_and_others_files_stay() {
     let scene = Scene::synth("pipes", 3_000);
     let out = scene.file("run");
     let frames = out.join("frames");
-    let replay = |options: &[&str]| {
-        let all = ["replay", text(&scene.occ), "--backend", "cpu", "--size", "16x16", "--out"];
-        [&all[..], &[text(&out)], options].concat()
-    };
+    let all = ["replay", text(&scene.occ), "--backend", "cpu", "--size", "16x16", "--out"];
+    let replay = |options: &[&'static str]| [&all[..], &[text(&out)], options].concat();
     std::fs::create_dir_all(&frames).unwrap();
     std::fs::write(frames.join("holiday.png"), "mine").unwrap();
     succeed(&replay(&["--frames", "5", "--pictures", "png"]));
     let before = [names(&out), names(&frames)];
-    for (options, code) in [(&["--memory", "1"][..], 78), (&["--far-cubes", "0"], 2)] {
+    for (options, code) in [(&["--memory", "1"], 78), (&["--far-cubes", "0"], 2)] {
         fail(&replay(options), code, "");
         assert_eq!([names(&out), names(&frames)], before);
     }

@@ -15,8 +15,6 @@ pub(crate) fn check_readable(path: &Path) -> Result<(), ImportError> {
 #[cfg(test)]
 #[cfg(unix)]
 mod tests {
-    use super::*;
-
     #[test]
     fn pipes_and_devices_are_no_sources() {
         let folder = tempfile::tempdir().unwrap();
