@@ -11,6 +11,7 @@ use protocol::format::mesh::check_blob;
 use protocol::format::{ALIGNMENT, Digest, SceneFile, Skeleton, digest, read_skeleton_of};
 use protocol::id::BlobId;
 use protocol::message::FailureKind;
+use std::fs::File;
 use std::io;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -37,7 +38,7 @@ impl Store {
     /// Opens a scene file and reads its skeleton.
     pub fn open(path: &Path) -> Result<Self, OpenError> {
         let to_io = |e| OpenError::io(path, e);
-        let file = protocol::file::open(path).map_err(to_io)?;
+        let file: File = protocol::file::open(path).map_err(to_io)?;
         let scene = read_skeleton_of(&file, path)?;
         let SceneFile { skeleton, geometry, pixels, digest, file_bytes } = scene;
         let file = Guarded::new(file, file_bytes).map_err(to_io)?;
