@@ -242,3 +242,183 @@ fn a_reader_that_has_gone_away_is_no_reason_to_panic() {
     assert_eq!(output.status.code(), Some(74), "{says}");
     assert!(!says.contains("panicked") && !says.contains("occluster:"), "{says}");
 }
+
+/// Runs the program and expects this exit code soon, and a message without a panic.
+#[cfg(unix)]
+fn fail_soon(arguments: &[&str], code: i32) {
+    let program = occluster();
+    let mut command = std::process::Command::new("timeout");
+    command.arg("20").arg(program.get_program()).args(arguments);
+    let output = command.output().unwrap();
+    let says = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(code), "{arguments:?}: {says}");
+    assert!(says.contains("occluster: ") && !says.contains("panicked"), "{arguments:?}: {says}");
+}
+
+#[cfg(unix)]
+fn pipe(folder: &TempDir, name: &str) -> PathBuf {
+    let path = folder.path().join(name);
+    assert!(std::process::Command::new("mkfifo").arg(&path).status().unwrap().success());
+    path
+}
+
+#[test]
+#[cfg(unix)]
+fn no_output_takes_the_place_of_an_input() {
+    let folder = TempDir::new().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let glb = write(&folder, "a.glb", &triangle(|json| json, GOOD));
+    let gltf =
+        r#"{"asset":{"version":"2.0"},"buffers":[{"byteLength":36,"uri":"a.bin"}]}"#.as_bytes();
+    let (gltf, bin) = (write(&folder, "b.gltf", gltf), write(&folder, "a.bin", &[0; 36]));
+    let config = write(&folder, "bake.toml", b"");
+    std::fs::hard_link(&glb, at("hard.occ")).unwrap();
+    std::os::unix::fs::symlink("a.glb", at("soft.occ")).unwrap();
+    let refused = |arguments: &[&str], input: &Path| {
+        let before = (std::fs::read(input).unwrap(), names(folder.path()));
+        fail(arguments, 2, text(input));
+        assert!(before == (std::fs::read(input).unwrap(), names(folder.path())), "{arguments:?}");
+    };
+    for output in ["a.glb", "./a.glb", "hard.occ", "soft.occ"] {
+        refused(&["bake", text(&glb), "-o", text(&at(output))], &glb);
+        refused(&["bake", text(&gltf), text(&glb), "-o", text(&at(output))], &glb);
+    }
+    refused(&["bake", text(&gltf), "-o", text(&bin)], &bin);
+    refused(&["bake", text(&glb), "-o", text(&config), "--config", text(&config)], &config);
+    refused(&["synth", "town", "--from", text(&glb), "-o", text(&glb)], &glb);
+
+    let occ = at("a.occ");
+    succeed(&["bake", text(&glb)]);
+    refused(&["bake", text(&occ), "--far", "tdm"], &occ);
+    refused(&["path", text(&occ), "-o", text(&occ)], &occ);
+    let walk = at("frames.csv");
+    succeed(&["path", text(&occ), "-o", text(&walk), "--frames", "2"]);
+    let out = ["--out", text(folder.path())];
+    refused(&[&["replay", text(&occ), "--path", text(&walk)][..], &out].concat(), &walk);
+    fail(&["bake", text(&glb), text(&gltf)], 2, "-o");
+}
+
+#[test]
+#[cfg(unix)]
+fn no_output_takes_the_place_of_what_is_no_file() {
+    let folder = TempDir::new().unwrap();
+    let glb = write(&folder, "a.glb", &triangle(|json| json, GOOD));
+    let occ = folder.path().join("a.occ");
+    succeed(&["bake", text(&glb), "-o", text(&occ)]);
+    let pipe = pipe(&folder, "pipe");
+    let dangling = folder.path().join("dangling");
+    std::os::unix::fs::symlink("nothing", &dangling).unwrap();
+    for output in [&pipe, &dangling] {
+        let before = std::fs::symlink_metadata(output).unwrap().file_type();
+        fail_soon(&["bake", text(&glb), "-o", text(output)], 74);
+        fail_soon(&["path", text(&occ), "-o", text(output)], 74);
+        fail_soon(&["synth", "pipes", "--triangles", "100", "-o", text(output)], 74);
+        assert_eq!(std::fs::symlink_metadata(output).unwrap().file_type(), before);
+    }
+    // Where a link leads to a file, that one is written.
+    let (real, link) = (folder.path().join("real.occ"), folder.path().join("link.occ"));
+    std::fs::write(&real, "old").unwrap();
+    std::os::unix::fs::symlink("real.occ", &link).unwrap();
+    succeed(&["bake", text(&glb), "-o", text(&link)]);
+    assert!(link.is_symlink() && std::fs::read(&real).unwrap() == std::fs::read(&occ).unwrap());
+}
+
+#[test]
+#[cfg(unix)]
+fn what_is_no_file_is_not_waited_for() {
+    let scene = Scene::synth("pipes", 3_000);
+    let folder = TempDir::new().unwrap();
+    let zeros = folder.path().join("zeros.stl");
+    std::os::unix::fs::symlink("/dev/zero", &zeros).unwrap();
+    let dangling = folder.path().join("dangling.obj");
+    std::os::unix::fs::symlink("nothing", &dangling).unwrap();
+    let output = scene.file("never.occ");
+    for (input, missing) in [(&pipe(&folder, "a.obj"), 74), (&zeros, 74), (&dangling, 66)] {
+        let (input, no_rig) = (text(input), 78);
+        fail_soon(&["bake", input, "-o", text(&output)], missing);
+        fail_soon(&["bake", text(&scene.occ), "-o", text(&output), "--config", input], no_rig);
+        for verb in ["inspect", "verify", "replay"] {
+            fail_soon(&[verb, input], missing);
+        }
+        fail_soon(&["replay", text(&scene.occ), "--path", input], 66);
+        fail_soon(&["replay", text(&scene.occ), "--rig", input], no_rig);
+    }
+    assert!(!output.exists());
+}
+
+#[test]
+#[cfg(unix)]
+fn names_need_not_be_utf8() {
+    use std::os::unix::ffi::OsStrExt;
+    let folder = TempDir::new().unwrap();
+    let at = |name: &[u8]| folder.path().join(std::ffi::OsStr::from_bytes(name));
+    let (glb, occ, out) = (at(b"geb\xe4ude.glb"), at(b"geb\xe4ude.occ"), at(b"l\xe4ufe"));
+    std::fs::write(&glb, triangle(|json| json, GOOD)).unwrap();
+    let run = |command: &mut std::process::Command| {
+        let output = command.output().unwrap();
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    };
+    run(occluster().arg("bake").arg(&glb).arg("-o").arg(&occ));
+    let run_of = ["--backend", "cpu", "--size", "32x32", "--frames", "3", "--pictures", "png"];
+    run(occluster().arg("replay").arg(&occ).args(run_of).arg("--out").arg(&out));
+    assert_eq!(std::fs::read_dir(out.join("frames")).unwrap().count(), 3);
+}
+
+#[test]
+fn a_field_of_view_that_shows_nothing_is_refused() {
+    let scene = Scene::synth("pipes", 3_000);
+    let path = scene.file("bad.csv");
+    for fov in ["1e-44", "1e-30", "1e-7", "179.9999999"] {
+        let header =
+            "eye_x,eye_y,eye_z,target_x,target_y,target_z,up_x,up_y,up_z,fov_y_deg".to_owned();
+        std::fs::write(&path, header + "\n40,10,20,41,10,20,0,1,0," + fov + "\n").unwrap();
+        fail(&["replay", text(&scene.occ), "--path", text(&path)], 65, "line 2");
+    }
+}
+
+#[test]
+#[cfg(target_os = "linux")]
+fn a_stderr_that_takes_nothing_changes_no_exit_code() {
+    let scene = Scene::synth("pipes", 3_000);
+    let full = || std::fs::File::options().write(true).open("/dev/full").unwrap();
+    let code = |arguments: &[&str], stderr: Stdio| {
+        let status = occluster().args(arguments).stdout(Stdio::null()).stderr(stderr).status();
+        status.unwrap().code()
+    };
+    assert_eq!(code(&["inspect", text(&scene.file("absent.occ"))], full().into()), Some(66));
+    let mut bytes = std::fs::read(&scene.occ).unwrap();
+    let (damaged, third) = (scene.file("damaged.occ"), bytes.len() / 3);
+    bytes[third] ^= 1;
+    std::fs::write(&damaged, bytes).unwrap();
+    let path = scene.path("orbit", 4);
+    for occ in [&scene.occ, &damaged] {
+        let replay = ["replay", text(occ), "--path", text(&path), "--backend", "cpu", "-vv"];
+        assert_eq!(code(&replay, full().into()), code(&replay, Stdio::null()));
+    }
+    // Results that cannot be written are a failure, told or not.
+    let mut inspect = occluster();
+    inspect.args(["inspect", text(&scene.occ)]).stdout(full()).stderr(full());
+    assert_eq!(inspect.status().unwrap().code(), Some(74));
+}
+
+#[test]
+fn a_refused_run_removes_nothing_and_others_files_stay() {
+    let scene = Scene::synth("pipes", 3_000);
+    let out = scene.file("run");
+    let frames = out.join("frames");
+    let all = ["replay", text(&scene.occ), "--backend", "cpu", "--size", "16x16", "--out"];
+    let replay = |options: &[&'static str]| [&all[..], &[text(&out)], options].concat();
+    std::fs::create_dir_all(&frames).unwrap();
+    std::fs::write(frames.join("holiday.png"), "mine").unwrap();
+    succeed(&replay(&["--frames", "5", "--pictures", "png"]));
+    let before = [names(&out), names(&frames)];
+    for (options, code) in [(&["--memory", "1"], 78), (&["--far-cubes", "0"], 2)] {
+        fail(&replay(options), code, "");
+        assert_eq!([names(&out), names(&frames)], before);
+    }
+    std::fs::write(frames.join("000007.png"), "mine").unwrap();
+    std::fs::write(frames.join(".000003.png.12345.tmp"), "half").unwrap();
+    succeed(&replay(&["--frames", "2", "--pictures", "png"]));
+    let left = ["000000.png", "000001.png", "000007.png", "holiday.png"];
+    assert_eq!(names(&frames), left);
+}

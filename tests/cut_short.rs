@@ -102,6 +102,49 @@ fn a_killed_or_interrupted_bake_goes_on() {
     plant.assert_goes_on("over an old scene");
 }
 
+#[test]
+fn a_bake_that_nobody_hears_ends_at_a_signal() {
+    let plant = Plant::new(120_000);
+    for signal in ["INT", "TERM"] {
+        let mut bake = occluster();
+        bake.args(plant.arguments()).stdout(Stdio::null()).stderr(Stdio::piped());
+        let mut bake = bake.spawn().unwrap();
+        drop(bake.stderr.take());
+        let work = plant.folder.path().join(WORK);
+        let deadline = Instant::now() + Duration::from_secs(60);
+        while !work.join("meshes").exists() {
+            assert!(Instant::now() < deadline, "it never began");
+            std::thread::sleep(Duration::from_millis(2));
+        }
+        let kill = format!("kill -{signal} {}", bake.id());
+        assert!(Command::new("sh").args(["-c", &kill]).status().unwrap().success());
+        assert_eq!(bake.wait().unwrap().code(), Some(1), "{signal}");
+        assert!(!plant.occ.exists(), "{signal}");
+        std::fs::remove_dir_all(&work).unwrap();
+    }
+}
+
+#[test]
+fn a_scene_kept_for_its_far_fields_is_made_again_where_it_is_damaged() {
+    let folder = TempDir::new().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let (glb, far, kept) = (at("pipes.glb"), at("far.occ"), at(".far.occ.far"));
+    succeed(&["synth", "pipes", "-o", text(&glb), "--triangles", "3000"]);
+    std::fs::create_dir(&kept).unwrap();
+    let plain = kept.join("plain.occ");
+    succeed(&["bake", text(&glb), "-o", text(&plain)]);
+    let walk = at("walk.csv");
+    succeed(&["path", text(&plain), "-o", text(&walk), "--frames", "4"]);
+    let mut bytes = std::fs::read(&plain).unwrap();
+    let third = bytes.len() / 3;
+    bytes[third] ^= 4;
+    std::fs::write(&plain, bytes).unwrap();
+    let make = ["bake", text(&glb), "-o", text(&far), "--far", "tdm", "--cells-along", text(&walk)];
+    succeed(&[&make[..], &["--far-side", "64", "--far-samples", "1", "--far-always"]].concat());
+    succeed(&["verify", text(&far)]);
+    assert!(!kept.exists());
+}
+
 /// Runs a bake that can write no file beyond so many blocks of 512 bytes.
 fn bake_within(plant: &Plant, blocks: u64) -> Output {
     // Told instead of killed, as on a full disk.
@@ -127,6 +170,30 @@ fn a_full_disk_is_said_and_the_bake_goes_on_when_there_is_space() {
         assert_eq!(std::fs::read(&plant.occ).unwrap(), b"an old scene", "{blocks}");
     }
     plant.assert_goes_on("with space again");
+}
+
+#[test]
+fn a_limit_on_the_size_of_files_is_said_as_a_full_disk_is() {
+    let scene = support::Scene::synth("pipes", 3_000);
+    let out = scene.file("run");
+    let within = |blocks: u32, arguments: &[&str]| {
+        let script = format!("ulimit -f {blocks}; exec \"$@\"");
+        let program = occluster();
+        let mut shell = Command::new("sh");
+        shell.args(["-c", &script, "sh", text(Path::new(program.get_program()))]).args(arguments);
+        let output = shell.output().unwrap();
+        let says = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.code(), Some(74), "{arguments:?}: {says}");
+    };
+    within(0, &["synth", "pipes", "--triangles", "3000", "-o", text(&scene.file("b.glb"))]);
+    within(8, &["bake", text(&scene.file("source.glb")), "-o", text(&scene.file("b.occ"))]);
+    within(0, &["path", text(&scene.occ), "-o", text(&scene.file("b.csv"))]);
+    let replay = ["replay", text(&scene.occ), "--backend", "cpu", "--out", text(&out)];
+    let size = ["--size", "256x256", "--frames", "3"];
+    within(4, &[&replay[..], &size, &["--pictures", "png"]].concat());
+    // The mark and the table fit, not all of the rest.
+    within(4, &[&replay[..], &size].concat());
+    assert!(!out.join("summary.json").exists());
 }
 
 #[test]

@@ -130,6 +130,47 @@ fn a_render_thread_that_hangs_is_named_and_nobody_stays_behind() {
     assert!(says.contains("--phase-limit"), "{says}");
 }
 
+#[test]
+fn a_run_that_is_interrupted_while_it_starts_ends() {
+    let scene = Scene::synth("pipes", 3_000);
+    let walk = scene.path("orbit", 3000);
+    for name in ["INT", "TERM"] {
+        for _ in 0..4 {
+            let mut command = occluster();
+            command.args(["replay", text(&scene.occ), "--path", text(&walk), "--backend", "cpu"]);
+            let mut run = command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
+            while children(run.id()).is_empty() {
+                assert!(run.try_wait().unwrap().is_none(), "it ended too soon");
+            }
+            signal(run.id(), name);
+            assert_eq!(run.wait().unwrap().code(), Some(1), "{name}");
+        }
+    }
+}
+
+#[test]
+fn two_runs_do_not_meet_in_one_folder_and_a_killed_one_leaves_it_free() {
+    let scene = Scene::synth("plant", 200_000);
+    let out = scene.file("one");
+    let mut run = LongRun::start(&scene, &["--out", text(&out), "--pictures", "png"]);
+    let replay = ["replay", text(&scene.occ), "--backend", "cpu", "--frames", "2"];
+    let second =
+        [&replay[..], &["--size", "32x24", "--pictures", "png", "--out", text(&out)]].concat();
+    support::fail(&second, 75, text(&out));
+    let deadline = Instant::now() + Duration::from_secs(30);
+    while !out.join("frames/000002.png").exists() {
+        assert!(Instant::now() < deadline, "it shows nothing");
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    signal(run.coordinator.id(), "KILL");
+    run.coordinator.wait().unwrap();
+    assert_gone(&run.nodes);
+    std::fs::write(out.join("frames/.000004.png.1.tmp"), "half").unwrap();
+    support::succeed(&second);
+    assert_eq!(std::fs::read_dir(out.join("frames")).unwrap().count(), 2);
+    assert!(out.join("summary.json").exists());
+}
+
 /// No half-written file: every picture ends as a PNG does, nothing temporary is left.
 fn assert_whole(out: &Path) {
     for entry in std::fs::read_dir(out.join("frames")).unwrap() {

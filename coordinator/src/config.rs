@@ -74,7 +74,7 @@ pub struct Rig {
     /// What stands in for what is far.
     pub far: Option<Far>,
     /// Cubes of a cell at most.
-    pub far_cubes: Option<u32>,
+    pub far_cubes: Option<NonZeroU32>,
     /// Triangles of cubes at most.
     pub far_triangles: Option<u64>,
     /// Whether seats may draw with different renderers.
@@ -86,7 +86,7 @@ pub struct Rig {
 impl Rig {
     /// Reads a rig file.
     pub fn read(path: &Path) -> Result<Self, ConfigError> {
-        let text = std::fs::read_to_string(path)
+        let text = protocol::file::read_settings(path)
             .map_err(|source| ConfigError::Read { path: path.to_owned(), source })?;
         toml::from_str(&text).map_err(|source| ConfigError::Parse {
             path: path.to_owned(),
@@ -327,6 +327,7 @@ mod tests {
             "prefetch = true",
             "mixed = \"on\"",
             "phase_limit = 0",
+            "far_cubes = 0",
             "lod = -1.0",
             "lod = nan",
             "near = 0.0",

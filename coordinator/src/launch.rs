@@ -81,6 +81,7 @@ struct Running {
 #[derive(Default)]
 pub struct Children {
     running: Vec<Running>,
+    killed: Vec<u32>,
 }
 
 impl Children {
@@ -131,8 +132,14 @@ impl Children {
             tracing::warn!("killing the render process {}, which does not end", running.pid);
             // It may have ended this moment.
             let _ = running.child.kill().await;
+            self.killed.push(running.pid);
         }
         exits
+    }
+
+    /// Those that [`Children::end`] has killed.
+    pub fn killed(&self) -> &[u32] {
+        &self.killed
     }
 }
 
@@ -242,6 +249,7 @@ mod tests {
             let mut children = Children::launch(&program, address(), TOKEN, 2).await.unwrap();
             let pids: Vec<_> = children.running.iter().map(|running| running.pid).collect();
             assert_eq!(children.end(Duration::from_millis(50)).await, []);
+            assert_eq!(children.killed(), pids);
             for pid in pids {
                 assert!(!Path::new(&format!("/proc/{pid}")).exists());
             }

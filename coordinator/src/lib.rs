@@ -5,6 +5,7 @@ pub mod config;
 pub mod launch;
 pub mod log;
 mod net;
+pub mod out_folder;
 pub mod record;
 pub mod run;
 mod tally;

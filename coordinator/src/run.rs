@@ -103,7 +103,7 @@ async fn conduct(
     progress: &mut dyn FnMut(&PhaseRecord),
 ) -> Result<RunRecord, RunError> {
     let RunPlan { settings, cameras, rig, policy, memory_cap } = plan;
-    let interrupted = interrupted()?;
+    let interrupted = interrupted();
     tokio::pin!(interrupted);
     let (sender, mut events) = mpsc::channel(QUEUED);
     let processes = if matches!(rig, Rig::Children { .. }) { 3 } else { 1 };
@@ -141,7 +141,14 @@ async fn conduct(
     match outcome {
         Ok(()) => {
             conductor.hang_up().await;
-            nodes.end(FLUSH).await.map_or(Ok(()), Err)?;
+            let flushed = tokio::select! {
+                () = &mut interrupted => Err(RunError::Interrupted),
+                flushed = nodes.flush(FLUSH) => flushed,
+            };
+            if let Err(error) = flushed {
+                nodes.end(PATIENCE).await;
+                return Err(error);
+            }
             conductor.tally.finish(settings, processes, memory_cap)
         }
         Err(error) => {
@@ -173,25 +180,24 @@ async fn sleep_until(deadline: Option<tokio::time::Instant>) {
     }
 }
 
-/// Ends at Ctrl-C or, where there is such a thing, a request to terminate.
-fn interrupted() -> Result<impl Future<Output = ()>, RunError> {
+/// Wakes a run that is to end; kept for one that is about to begin.
+static INTERRUPT: tokio::sync::Notify = tokio::sync::Notify::const_new();
+
+/// Ends the run that this process conducts, with [`RunError::Interrupted`], or the next as soon as it begins.
+/// Whoever listens for signals calls this: a signal must find somebody listening before there is a run.
+pub fn interrupt() {
+    INTERRUPT.notify_one();
+}
+
+/// Ends at a call of [`interrupt`] and, where nobody listens for signals, at Ctrl-C.
+async fn interrupted() {
     #[cfg(unix)]
-    let mut terminate = {
-        use tokio::signal::unix::{SignalKind, signal};
-        signal(SignalKind::terminate()).map_err(|error| {
-            let reason = format!("cannot listen for signals: {error}");
-            RunError::new(FailureKind::Unavailable, reason)
-        })?
-    };
-    Ok(async move {
-        #[cfg(unix)]
-        tokio::select! {
-            _ = tokio::signal::ctrl_c() => {}
-            _ = terminate.recv() => {}
-        }
-        #[cfg(not(unix))]
-        let _ = tokio::signal::ctrl_c().await;
-    })
+    INTERRUPT.notified().await;
+    #[cfg(not(unix))]
+    tokio::select! {
+        () = INTERRUPT.notified() => {}
+        _ = tokio::signal::ctrl_c() => {}
+    }
 }
 
 /// The nodes that have not ended.
@@ -253,6 +259,28 @@ impl Nodes {
         }
     }
 
+    /// Waits for the nodes to end once all is drawn. One that does not has pictures that nobody will see.
+    async fn flush(&mut self, patience: Duration) -> Result<(), RunError> {
+        if let Some(failure) = self.end(patience).await {
+            return Err(failure);
+        }
+        let lost = |who: String| {
+            let waited = patience.as_secs();
+            let reason = format!(
+                "{who} did not end within {waited} s of the last frame; its last pictures are not written"
+            );
+            Err(RunError::new(FailureKind::Io, reason))
+        };
+        match self {
+            Self::Children(children) => match children.killed() {
+                [] => Ok(()),
+                [pid, ..] => lost(format!("the render process {pid}")),
+            },
+            Self::Threads(Some(_)) => lost("a render thread".to_owned()),
+            Self::Threads(None) => Ok(()),
+        }
+    }
+
     /// Waits for the nodes to end, kills those that do not, and returns the failure that says most.
     async fn end(&mut self, patience: Duration) -> Option<RunError> {
         match self {
@@ -263,9 +291,10 @@ impl Nodes {
                 failures.into_iter().next().map(|(kind, reason)| RunError::new(kind, reason))
             }
             Self::Threads(result) => {
-                let running = result.take()?;
-                let ended = tokio::time::timeout(patience, running).await;
-                ended.ok().and_then(|ended| of_threads(ended).err())
+                let running = result.as_mut()?;
+                let ended = tokio::time::timeout(patience, running).await.ok()?;
+                *result = None;
+                of_threads(ended).err()
             }
         }
     }
@@ -389,6 +418,22 @@ impl Conductor {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_node_that_does_not_end_has_lost_pictures() {
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+        let flush = |receiver| {
+            let mut nodes = Nodes::Threads(Some(receiver));
+            runtime.block_on(nodes.flush(Duration::from_millis(20)))
+        };
+        let (hangs, receiver) = oneshot::channel();
+        let error = flush(receiver).unwrap_err();
+        assert!(matches!(error, RunError::Failed { kind: FailureKind::Io, .. }), "{error}");
+        drop(hangs);
+        let (ends, receiver) = oneshot::channel();
+        ends.send(Ok(())).unwrap();
+        assert_eq!(flush(receiver), Ok(()));
+    }
 
     #[test]
     fn a_lost_link_is_explained_by_the_end_of_its_process() {

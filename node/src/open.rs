@@ -11,6 +11,7 @@ use farfield::select::Budget;
 use protocol::format::Skeleton;
 use protocol::id::BlobId;
 use protocol::message::FailureKind;
+use protocol::path_text;
 use protocol::settings::{Far, Residency as Promise, RunSettings};
 use protocol::sun::Sun;
 use scene::backend::{Backend, Shading, Upload, light, warm_up};
@@ -19,7 +20,6 @@ use scene::prefetch::Forecaster;
 use scene::stand_in::coarsest_cut;
 use scene::store::Store;
 use scene::view_cells::Cells;
-use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::AtomicU64;
 
@@ -43,7 +43,7 @@ pub(crate) fn open_on<'a>(
     peak: &Arc<AtomicU64>,
     backend: impl FnOnce(u64) -> Result<Box<dyn Backend>, NodeError>,
 ) -> Result<Scene<'a>, NodeError> {
-    let store = Arc::new(Store::open(Path::new(&settings.scene_path))?);
+    let store = Arc::new(Store::open(&path_text::from_text(&settings.scene_path))?);
     let skeleton = Arc::clone(store.skeleton());
     let always = always(&skeleton, settings.residency);
     let memory = settings.memory.unwrap_or_else(budget::by_itself);

@@ -12,11 +12,11 @@ use crate::telemetry::Clock;
 use protocol::camera::Camera;
 use protocol::id::FrameIndex;
 use protocol::message::FailureKind;
+use protocol::path_text;
 use protocol::session::node::WorkTimes;
 use protocol::settings::RunSettings;
 use protocol::telemetry::{BackendInfo, CullCounts, DrawCounts, IoCounts};
 use protocol::visible::VisibleSet;
-use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use tokio::sync::{mpsc, oneshot};
@@ -214,7 +214,7 @@ fn picture_thread(
     settings: &RunSettings,
     events: mpsc::Sender<Event>,
 ) -> Result<PictureThread, NodeError> {
-    let folder = settings.pictures_dir.as_ref().map(PathBuf::from);
+    let folder = settings.pictures_dir.as_deref().map(path_text::from_text);
     let tell = move |news: Result<Hashed, &PictureError>| {
         let done = news.map_or_else(|error| Done::Failed(error.into()), Done::Hashed);
         // Nobody listens once the session has ended.

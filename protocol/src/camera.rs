@@ -22,6 +22,10 @@ pub struct Camera {
     pub near: f32,
 }
 
+/// Bounds of the tangent of half the field of view: what [`Camera::forward`] can tell apart, and its reciprocal.
+const LEAST_TAN: f64 = 8e-8;
+const GREATEST_TAN: f64 = 1.25e7;
+
 /// Why a pose makes no camera.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum CameraError {
@@ -34,8 +38,8 @@ pub enum CameraError {
     /// Up is zero or along the view direction.
     #[error("the up vector is zero or parallel to the view direction")]
     NoUp,
-    /// Field of view not in (0, 180) degrees.
-    #[error("the vertical field of view must lie between 0 and 180 degrees")]
+    /// Field of view not in (0, 180) degrees, or so near to an end that there is no picture.
+    #[error("the vertical field of view must lie between 0.00001 and 179.99999 degrees")]
     BadFieldOfView,
     /// Near plane not positive.
     #[error("the near plane must be a positive distance")]
@@ -55,7 +59,8 @@ impl Camera {
         if !finite || !fov_y_deg.is_finite() {
             return Err(CameraError::NotFinite);
         }
-        if fov_y_deg <= 0.0 || fov_y_deg >= 180.0 {
+        let tan_half_fov_y = (fov_y_deg.to_radians() * 0.5).tan();
+        if fov_y_deg >= 180.0 || !(LEAST_TAN..=GREATEST_TAN).contains(&tan_half_fov_y) {
             return Err(CameraError::BadFieldOfView);
         }
         let near_f32 = near as f32;
@@ -75,7 +80,7 @@ impl Camera {
             eye,
             forward: forward.map(|c| c as f32),
             up: up.map(|c| c as f32),
-            tan_half_fov_y: (fov_y_deg.to_radians() * 0.5).tan() as f32,
+            tan_half_fov_y: tan_half_fov_y as f32,
             near: near_f32,
         })
     }
@@ -185,6 +190,13 @@ mod tests {
         assert_eq!(look(o, y, y, 60.0, 0.1), CameraError::NoUp);
         assert_eq!(look(o, z, [0.0; 3], 60.0, 0.1), CameraError::NoUp);
         assert_eq!(look(o, z, y, 180.0, 0.1), CameraError::BadFieldOfView);
+        for fov in [0.0, -1.0, 1e-44, 1e-38, 1e-6, 179.999_999, 180.0_f64.next_down(), 181.0, 1e300]
+        {
+            assert_eq!(look(o, z, y, fov, 0.1), CameraError::BadFieldOfView, "{fov}");
+        }
+        for fov in [0.000_01, 179.999_99] {
+            assert!(Camera::look_at(o, z, y, fov, 0.1).is_ok(), "{fov}");
+        }
         assert_eq!(look(o, z, y, 60.0, 0.0), CameraError::BadNear);
         assert_eq!(look([f64::NAN, 0.0, 0.0], z, y, 60.0, 0.1), CameraError::NotFinite);
     }

@@ -5,9 +5,11 @@
 
 pub mod camera;
 pub mod codec;
+pub mod file;
 pub mod format;
 pub mod id;
 pub mod message;
+pub mod path_text;
 pub mod schedule;
 pub mod session;
 pub mod settings;

@@ -91,7 +91,7 @@ pub struct PictureSize {
 /// Everything a node needs to know of a run, sent in the welcome message.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct RunSettings {
-    /// Scene file, as the node is to open it.
+    /// Scene file, as the node is to open it, in the words of [`crate::path_text`].
     pub scene_path: String,
     /// Digest of the whole file ([`crate::format::Digest`]); a node with another scene is refused.
     pub scene_digest: [u8; 32],
@@ -129,6 +129,6 @@ pub struct RunSettings {
     pub far_cubes: u32,
     /// Triangles of cubes in the frustum that are drawn at most.
     pub far_triangles: Option<u64>,
-    /// Folder that receives `000000.png ...`; none writes no pictures.
+    /// Folder that receives `000000.png ...`, in the words of [`crate::path_text`]; none writes no pictures.
     pub pictures_dir: Option<String>,
 }

@@ -82,8 +82,8 @@ impl PathError {
 /// See [`PathError`]; the first bad line is the one named.
 pub fn read_csv(path: &Path) -> Result<Vec<Pose>, PathError> {
     let owned = || path.to_owned();
-    let file =
-        std::fs::File::open(path).map_err(|source| PathError::NoInput { path: owned(), source })?;
+    let file = protocol::file::open(path)
+        .map_err(|source| PathError::NoInput { path: owned(), source })?;
     let mut reader = csv::ReaderBuilder::new()
         .has_headers(false)
         .flexible(true)

@@ -12,6 +12,8 @@ use protocol::id::{BlobId, HlodId};
 const ERROR_OF_CELL: f64 = 0.25;
 /// A triangle over more cells than this is halved.
 const CELLS_AT_ONCE: usize = 12;
+/// How many times as far as the grid reaches a corner may lie away from its own.
+const BEYOND: f64 = 4.0;
 /// Grows a cell's half side in the overlap test, against rounding.
 const SLACK: f64 = 1e-6;
 
@@ -71,8 +73,10 @@ fn fill_part(
             grid.local(placement.apply(mesh))
         })
         .collect();
-    if !points.iter().flatten().all(|c| c.is_finite()) {
-        return Err(bad("its placement is not finite"));
+    // What far exceeds the scene's box would be cut for ever; an approximation may leave it a little.
+    let is_near = |p: &[f64; 3]| (0..3).all(|k| p[k].abs() <= BEYOND * grid.dims[k] as f64);
+    if !points.iter().all(is_near) {
+        return Err(bad("it lies far outside of the scene's box; bake the scene again"));
     }
     for triangle in indices.chunks_exact(6) {
         let corner = |k: usize| {

@@ -11,9 +11,13 @@ pub mod trace;
 #[cfg(test)]
 mod tests;
 
+use crate::out_folder::frames_of;
 use crate::record::RunRecord;
 use std::io::Write;
 use std::path::{Path, PathBuf};
+
+/// What is written, in this order: where there is a summary, all is there.
+pub const FILES: [&str; 4] = ["frames.csv", "trace.json", "report.html", "summary.json"];
 
 /// Facts about the scene a run showed.
 #[derive(Debug, Clone, PartialEq)]
@@ -47,8 +51,7 @@ pub fn figures(record: &RunRecord, scene: &SceneFacts) -> summary::Summary {
     summary::summarise(record, scene, &frames::rows(record))
 }
 
-/// Writes `summary.json`, `frames.csv`, `trace.json` and `report.html` into `dir`, each to a temporary
-/// name first, and returns the summary.
+/// Writes [`FILES`] into `dir`, each to a temporary name first, and returns the summary.
 pub fn write_all(
     record: &RunRecord,
     scene: &SceneFacts,
@@ -57,13 +60,12 @@ pub fn write_all(
     let rows = frames::rows(record);
     let summary = summary::summarise(record, scene, &rows);
     let json = serde_json::to_string_pretty(&summary).expect("the summary holds only plain values");
-    publish(&dir.join("summary.json"), json.as_bytes())?;
-    publish(&dir.join("frames.csv"), &frames::csv(&rows))?;
-    publish(&dir.join("trace.json"), trace::trace(record).as_bytes())?;
-    publish(
-        &dir.join("report.html"),
-        report::html(&summary, &rows, &dir.join("frames")).as_bytes(),
-    )?;
+    let [rest @ .., last] = FILES.map(|name| dir.join(name));
+    let [of_frames, of_trace, of_report] = rest;
+    publish(&of_frames, &frames::csv(&rows))?;
+    publish(&of_trace, trace::trace(record).as_bytes())?;
+    publish(&of_report, report::html(&summary, &rows, &frames_of(dir)).as_bytes())?;
+    publish(&last, json.as_bytes())?;
     Ok(summary)
 }
 

@@ -5,7 +5,9 @@ use super::plot::{Curve, plot};
 use super::summary::Summary;
 use super::table::table;
 use base64::Engine;
+use protocol::file;
 use std::fmt::Write;
+use std::io::Read;
 use std::path::Path;
 
 /// Most pictures on the strip.
@@ -135,7 +137,9 @@ fn strip(rows: &[FrameRow], frames_dir: &Path) -> String {
     let pictures: String = (0..shown)
         .filter_map(|k| {
             let row = &rows[k * (rows.len() - 1) / (shown - 1).max(1)];
-            let png = std::fs::read(frames_dir.join(format!("{:06}.png", row.frame))).ok()?;
+            let mut png = Vec::new();
+            let mut file = file::open(&frames_dir.join(format!("{:06}.png", row.frame))).ok()?;
+            file.read_to_end(&mut png).ok()?;
             let data = base64::engine::general_purpose::STANDARD.encode(png);
             Some(format!(
                 "<figure><img alt=\"frame {0}\" src=\"data:image/png;base64,{data}\"><figcaption>frame {0}: {1} hlods, {2} \

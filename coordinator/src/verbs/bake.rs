@@ -6,16 +6,19 @@ use super::replay::{read_path, word};
 use super::say::{say, say_json};
 use super::{path, scene_file};
 use ::bake::far::{FarError, FarSummary, Settings};
+use ::bake::import::references;
 use ::bake::progress::Bars;
 use ::bake::{Options, WorkError};
 use anyhow::anyhow;
 use coordinator::camera_path::{PathKind, Pose, cameras};
 use coordinator::config::{Bytes, Near};
 use protocol::camera::near_plane;
+use protocol::file;
 use protocol::format::Method;
 use protocol::format::projected::is_side;
 use protocol::settings::{BackendChoice, PictureSize};
 use scene::backend::BackendError;
+use scene::store::Store;
 use std::path::{Path, PathBuf};
 
 /// Poses of the walk whose cells get far fields where no path is given.
@@ -26,9 +29,9 @@ pub(crate) struct Args {
     /// The source files (glTF, GLB, OBJ, PLY, STL); several become one scene
     #[arg(required = true, value_name = "INPUT")]
     inputs: Vec<PathBuf>,
-    /// The scene file to write
+    /// The scene file to write [default: of one input, its name with the ending .occ]
     #[arg(short, long, value_name = "SCENE.occ")]
-    output: PathBuf,
+    output: Option<PathBuf>,
     /// Bake settings (TOML)
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
@@ -101,6 +104,7 @@ pub(crate) fn run(args: Args) -> Result<(), Failure> {
         let reason = anyhow!("--far-side {}: give a power of two from 16 to 4096", args.far_side);
         return Err(reason).or_exit(USAGE);
     }
+    let output = place(&args)?;
     let mut options = match &args.config {
         Some(path) => Options::from_file(path).or_exit(CONFIG)?,
         None => Options::default(),
@@ -110,23 +114,76 @@ pub(crate) fn run(args: Args) -> Result<(), Failure> {
     options.seed = args.seed.unwrap_or(options.seed);
     options.scene = args.scene.clone().unwrap_or(options.scene);
     if args.far == Method::None {
-        let summary = bake_file(&args.inputs, &args.output, &options)?;
+        let summary = bake_file(&args.inputs, &output, &options)?;
         return if args.json { say_json(&summary) } else { say(summary) };
     }
     let is_baked = args.inputs.len() == 1
         && args.inputs[0].extension().is_some_and(|extension| extension == "occ");
     let poses = args.cells_along.as_deref().map(read_path).transpose()?;
     let summary = if is_baked {
-        add_far(&args, &options, &args.inputs[0], poses)?
+        add_far(&args, &options, &args.inputs[0], &output, poses)?
     } else {
-        let plain = ::bake::plain_scene(&args.output).or_exit(IO)?;
+        let plain = ::bake::plain_scene(&output).or_exit(IO)?;
+        forget_damaged(&plain);
         bake_file(&args.inputs, &plain, &options).inspect_err(|_| {
             // It goes where nothing is kept in it.
-            let _ = std::fs::remove_dir(::bake::far_folder(&args.output));
+            let _ = std::fs::remove_dir(::bake::far_folder(&output));
         })?;
-        add_far(&args, &options, &plain, poses)?
+        add_far(&args, &options, &plain, &output, poses)?
     };
     if args.json { say_json(&summary) } else { say(summary) }
+}
+
+/// Where the scene goes, which is no place of anything that it is made from.
+fn place(args: &Args) -> Result<PathBuf, Failure> {
+    let named = match (&args.output, &args.inputs[..]) {
+        (Some(output), _) => output.clone(),
+        (None, [input]) => input.with_extension("occ"),
+        (None, _) => {
+            return Err(anyhow!("several inputs: name the scene file, -o SCENE.occ"))
+                .or_exit(USAGE);
+        }
+    };
+    // A file that cannot be read refers to nothing; why it cannot, the bake will tell.
+    let referred = |input: &PathBuf| match file::open(input) {
+        Ok(_) => references(input).unwrap_or_default(),
+        Err(_) => Vec::new(),
+    };
+    let inputs = || {
+        let others = args.config.iter().chain(&args.cells_along);
+        let all = args.inputs.iter().chain(others).cloned();
+        all.chain(args.inputs.iter().flat_map(referred)).collect::<Vec<_>>()
+    };
+    let output = file::place(&named, inputs).map_err(Failure::of_output)?;
+    for folder in [::bake::working_folder(&output), ::bake::far_folder(&output)] {
+        if let Some(input) = args.inputs.iter().find(|input| is_below(input, &folder)) {
+            return Err(anyhow!(
+                "{}: lies in {}, which goes once the scene is there; copy it to another place",
+                input.display(),
+                folder.display()
+            ))
+            .or_exit(USAGE);
+        }
+    }
+    Ok(output)
+}
+
+/// Whether a file lies in a folder or below it.
+fn is_below(file: &Path, folder: &Path) -> bool {
+    match (file.canonicalize(), folder.canonicalize()) {
+        (Ok(file), Ok(folder)) => file.starts_with(folder),
+        _ => false,
+    }
+}
+
+/// Removes a scene that was kept and is not as it was written: it is made again.
+fn forget_damaged(kept: &Path) {
+    if let Ok(store) = Store::open(kept)
+        && scene::verify::verify(&store).is_err()
+    {
+        // Where it stays, the damage is found when far fields are added.
+        let _ = std::fs::remove_file(kept);
+    }
 }
 
 /// Adds far fields to the scene at `baked`, for the cells of `poses` or of a walk.
@@ -134,10 +191,11 @@ fn add_far(
     args: &Args,
     options: &Options,
     baked: &Path,
+    output: &Path,
     poses: Option<Vec<Pose>>,
 ) -> Result<FarSummary, Failure> {
-    let kept = ::bake::far_folder(&args.output);
-    let what = format!("{} with far fields", args.output.display());
+    let kept = ::bake::far_folder(output);
+    let what = format!("{} with far fields", output.display());
     let _during = During::new(Work::Baking { what, kept });
     let store = scene_file::open(baked)?;
     let poses = match poses {
@@ -159,7 +217,7 @@ fn add_far(
         node::choose_backend(args.backend, size, options.memory / 2)
             .map_err(|error| BackendError::NoAdapter(error.to_string()))
     };
-    let work = || ::bake::far::add_far(baked, &args.output, &settings, &mut make, &Bars::default());
+    let work = || ::bake::far::add_far(baked, output, &settings, &mut make, &Bars::default());
     let pool = rayon::ThreadPoolBuilder::new().num_threads(options.jobs).build();
     pool.or_exit(UNAVAILABLE)?.install(work).map_err(|error| match error {
         FarError::Work(WorkError::Busy { .. }) => {

@@ -2,13 +2,14 @@
 
 use super::exit::{Failure, IO, OrExit};
 use super::replay::{self, RunOptions, word};
-use super::say::say;
+use super::say::{say, tell};
 use super::{bake::bake_file, path, scene_file};
 use ::bake::synth::{Kind, generate, write_glb};
 use anyhow::Context;
 use coordinator::camera_path::{PathKind, write_csv};
 use coordinator::config::{Every, Pictures, Size};
 use coordinator::log::table::table;
+use protocol::file;
 use protocol::settings::BackendChoice;
 use std::path::PathBuf;
 
@@ -34,17 +35,17 @@ pub(crate) struct Args {
 pub(crate) fn run(args: Args) -> Result<(), Failure> {
     let name = || format!("cannot make the folder {}", args.out.display());
     std::fs::create_dir_all(&args.out).with_context(name).or_exit(IO)?;
-    let (glb, occ, csv) =
-        (args.out.join("plant.glb"), args.out.join("plant.occ"), args.out.join("walk.csv"));
+    let place = |name: &str| file::place(&args.out.join(name), || []).map_err(Failure::of_output);
+    let (glb, occ, csv) = (place("plant.glb")?, place("plant.occ")?, place("walk.csv")?);
 
-    eprintln!("1/4 building a plant of {} triangles", args.triangles);
+    tell(format_args!("1/4 building a plant of {} triangles\n", args.triangles));
     write_glb(&generate(Kind::Plant, Some(args.triangles), 1), &glb).or_exit(IO)?;
-    eprintln!("2/4 baking it");
+    tell("2/4 baking it\n");
     let baked = bake_file(std::slice::from_ref(&glb), &occ, &::bake::Options::default())?;
-    eprintln!("3/4 planning a walk of {} frames", args.frames);
+    tell(format_args!("3/4 planning a walk of {} frames\n", args.frames));
     let poses = path::poses(&scene_file::open(&occ)?, PathKind::Walk, args.frames, 1)?;
     write_csv(&csv, &poses).or_exit(IO)?;
-    eprintln!("4/4 replaying it with three processes");
+    tell("4/4 replaying it with three processes\n");
     let (summary, out) = replay::replay(replay::Args {
         scene: occ,
         path: Some(csv),

@@ -1,5 +1,6 @@
 //! Exit codes, after sysexits.h.
 
+use protocol::file::OutputError;
 use protocol::message::FailureKind;
 
 /// Everything not named below.
@@ -44,6 +45,15 @@ impl<T, E: Into<anyhow::Error>> OrExit<T> for Result<T, E> {
 }
 
 impl Failure {
+    /// A place that is not written to: the command line names an input twice, or what is no file.
+    pub(crate) fn of_output(error: OutputError) -> Self {
+        let code = match &error {
+            OutputError::Input { .. } => USAGE,
+            OutputError::NoFile { .. } => IO,
+        };
+        Self { code, error: Some(error.into()) }
+    }
+
     /// What a person is told, with the code of its class.
     pub(crate) fn of(kind: FailureKind, error: impl Into<anyhow::Error>) -> Self {
         Self { code: code_of(kind), error: Some(error.into()) }

@@ -1,7 +1,8 @@
 //! The line that shows how a run goes on, on a terminal only.
 
+use super::say::tell;
 use coordinator::record::PhaseRecord;
-use std::io::{IsTerminal, Write};
+use std::io::IsTerminal;
 use std::time::{Duration, Instant};
 
 /// How often it changes.
@@ -28,18 +29,16 @@ impl LiveLine {
         let triangles =
             work().filter_map(|work| work.draw).map(|draw| draw.triangles).max().unwrap_or(0);
         let ms = (phase.ended - phase.started) as f64 / 1e6;
-        eprint!(
+        tell(format_args!(
             "\r\x1b[Kframe {}/{}  {ms:.1} ms  {visible} hlods visible  {triangles} triangles",
             phase.phase.0 + 1,
             self.frames
-        );
-        // A terminal that is gone must not end the run.
-        drop(std::io::stderr().flush());
+        ));
     }
 
     pub(super) fn clear(&self) {
         if self.shown.is_some() {
-            eprint!("\r\x1b[K");
+            tell("\r\x1b[K");
         }
     }
 }

@@ -3,6 +3,7 @@
 mod bake;
 mod demo;
 mod doctor;
+mod driver;
 mod exit;
 mod inspect;
 mod interrupt;
@@ -66,8 +67,30 @@ pub(crate) fn main() -> ExitCode {
             return ExitCode::from(code);
         }
     };
+    if !matches!(cli.verb, Verb::Inspect(_) | Verb::Verify(_) | Verb::Path(_) | Verb::Synth(_)) {
+        driver::hush();
+    }
     start_log(cli.verbose, cli.quiet);
-    let done = match cli.verb {
+    interrupt::survive_size_limit();
+    // A node's end is its coordinator's to tell.
+    if !matches!(cli.verb, Verb::Node(_)) {
+        interrupt::listen();
+    }
+    let done = std::panic::catch_unwind(|| run(cli.verb));
+    // What broke has been said.
+    match done.unwrap_or(Err(Failure { code: exit::INTERNAL, error: None })) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(Failure { code, error }) => {
+            if let Some(error) = error {
+                say::tell(format_args!("occluster: {}\n", sentence(&error)));
+            }
+            ExitCode::from(code)
+        }
+    }
+}
+
+fn run(verb: Verb) -> Result<(), Failure> {
+    match verb {
         Verb::Demo(args) => demo::run(args),
         Verb::Synth(args) => synth::run(args),
         Verb::Bake(args) => bake::run(args),
@@ -77,15 +100,6 @@ pub(crate) fn main() -> ExitCode {
         Verb::Replay(args) => replay::run(args),
         Verb::Node(args) => node::run(args),
         Verb::Doctor(args) => doctor::run(args),
-    };
-    match done {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(Failure { code, error }) => {
-            if let Some(error) = error {
-                eprintln!("occluster: {}", sentence(&error));
-            }
-            ExitCode::from(code)
-        }
     }
 }
 
@@ -113,6 +127,8 @@ fn start_log(verbose: u8, quiet: bool) {
     tracing_subscriber::fmt()
         .with_env_filter(filter)
         .with_writer(std::io::stderr)
+        // They would be said on stderr, and there is nothing else that cannot be written to.
+        .log_internal_errors(false)
         .with_ansi(color)
         .with_target(false)
         .init();

@@ -4,6 +4,7 @@ use super::exit::{Failure, IO, OrExit};
 use super::say::say;
 use super::scene_file;
 use coordinator::camera_path::{GenerateError, PathKind, Pose, generate, write_csv};
+use protocol::file;
 use protocol::message::FailureKind;
 use scene::store::{Store, StoreError};
 use std::path::PathBuf;
@@ -29,9 +30,10 @@ pub(crate) struct Args {
 }
 
 pub(crate) fn run(args: Args) -> Result<(), Failure> {
+    let output = file::place(&args.output, || [args.scene.clone()]).map_err(Failure::of_output)?;
     let store = scene_file::open(&args.scene)?;
     let poses = poses(&store, args.kind, args.frames, args.seed)?;
-    write_csv(&args.output, &poses).or_exit(IO)?;
+    write_csv(&output, &poses).or_exit(IO)?;
     say(format_args!("{}: {} poses", args.output.display(), poses.len()))
 }
 

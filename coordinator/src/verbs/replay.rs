@@ -1,6 +1,6 @@
 //! `replay`: a run along a camera path, and its log.
 
-use super::exit::{BAD_DATA, CONFIG, Failure, IO, OTHER, OrExit, USAGE, code_of};
+use super::exit::{BAD_DATA, CONFIG, Failure, IO, OTHER, OrExit, TRY_AGAIN, USAGE, code_of};
 use super::interrupt::{During, Work};
 use super::live::LiveLine;
 use super::say::{say, say_json};
@@ -14,8 +14,10 @@ use coordinator::log::stats::Stats;
 use coordinator::log::summary::Summary;
 use coordinator::log::table::table;
 use coordinator::log::{SceneFacts, write_all};
+use coordinator::out_folder::{self, FolderError, OutFolder, frames_of};
 use coordinator::run::{self as rig_run, RunError, RunPlan};
 use protocol::camera::{Camera, near_plane};
+use protocol::path_text;
 use protocol::session::PHASE_LIMIT;
 use protocol::session::coordinator::Policy;
 use protocol::settings::{
@@ -165,9 +167,6 @@ pub(super) fn replay(args: Args) -> Result<(Summary, Option<PathBuf>), Failure> 
     };
     poses.truncate(args.options.frames.map_or(usize::MAX, |frames| frames as usize));
 
-    if let Some(out) = &args.out {
-        forget_former_run(out)?;
-    }
     if let Some(Near(near)) = args.options.near.or(rig.near) {
         poses.iter_mut().for_each(|pose| pose.near = Some(near));
     }
@@ -179,10 +178,13 @@ pub(super) fn replay(args: Args) -> Result<(Summary, Option<PathBuf>), Failure> 
     let memory_cap = args.options.memory.or(rig.memory).map(|Bytes(memory)| memory);
     let (policy, rig) = (policy(&args, &rig), rig_of(&args, &rig)?);
     let plan = RunPlan { settings, cameras, rig, policy, memory_cap };
-    let _during = During::new(Work::Running);
+    // From here on the command is not refused any more.
+    let _folder = args.out.as_deref().map(|out| take_folder(out, &args, &plan)).transpose()?;
+    let during = During::new(Work::Running);
     let mut live = LiveLine::new(frames);
     let record = rig_run::run(plan, &mut |phase| live.show(phase));
     live.clear();
+    drop(during);
     let record = record.map_err(|error| {
         let code = match &error {
             RunError::Interrupted => OTHER,
@@ -238,16 +240,12 @@ fn settings(args: &Args, rig: &Rig, store: &Store, frames: usize) -> Result<RunS
         (Pictures::Png, None) => {
             return Err(anyhow!("--pictures png needs a folder: add --out DIR")).or_exit(USAGE);
         }
-        (Pictures::Png, Some(out)) => Some(out.join("frames")),
+        (Pictures::Png, Some(out)) => Some(frames_of(out)),
     };
-    for dir in args.out.iter().chain(&pictures_dir) {
-        let name = || format!("cannot make the folder {}", dir.display());
-        std::fs::create_dir_all(dir).with_context(name).or_exit(IO)?;
-    }
     let absolute = |path: &Path| -> Result<String, Failure> {
         let name = || format!("cannot resolve {}", path.display());
-        let path = std::fs::canonicalize(path).with_context(name).or_exit(IO)?;
-        Ok(path.to_string_lossy().into_owned())
+        let path = std::path::absolute(path).with_context(name).or_exit(IO)?;
+        Ok(path_text::to_text(&path))
     };
     let residency = o.residency.or(rig.residency).unwrap_or_default();
     // The three seats of one process share what it is given.
@@ -274,27 +272,26 @@ fn settings(args: &Args, rig: &Rig, store: &Store, frames: usize) -> Result<RunS
         residency,
         prefetch: o.prefetch.or(rig.prefetch) != Some(Switch::Off),
         far,
-        far_cubes: o.far_cubes.or(rig.far_cubes).unwrap_or(FAR_CUBES),
+        far_cubes: o.far_cubes.or(rig.far_cubes.map(NonZeroU32::get)).unwrap_or(FAR_CUBES),
         far_triangles: o.far_triangles.or(rig.far_triangles),
         pictures_dir: pictures_dir.as_deref().map(absolute).transpose()?,
     })
 }
 
-/// A folder used again must not show an earlier run's pictures or figures as this one's.
-fn forget_former_run(out: &Path) -> Result<(), Failure> {
-    let pictures = std::fs::read_dir(out.join("frames"))
-        .into_iter()
-        .flatten()
-        .flatten()
-        .map(|entry| entry.path());
-    let logs =
-        ["summary.json", "frames.csv", "trace.json", "report.html"].map(|name| out.join(name));
-    let former = pictures.filter(|path| path.extension().is_some_and(|e| e == "png")).chain(logs);
-    for path in former.filter(|path| path.exists()) {
-        let name = || format!("cannot remove {} of an earlier run", path.display());
-        std::fs::remove_file(&path).with_context(name).or_exit(IO)?;
-    }
-    Ok(())
+/// Makes and takes the folder of a run. A folder used again must not show an earlier run's pictures or figures
+/// as this one's.
+fn take_folder(out: &Path, args: &Args, plan: &RunPlan) -> Result<OutFolder, Failure> {
+    let RunSettings { pictures_dir, frames, .. } = &plan.settings;
+    let pictures = if pictures_dir.is_some() { *frames } else { 0 };
+    let inputs = [Some(&args.scene), args.path.as_ref(), args.rig.as_ref()];
+    let inputs: Vec<PathBuf> = inputs.into_iter().flatten().cloned().collect();
+    let taken =
+        out_folder::check(out, pictures, &inputs).and_then(|()| OutFolder::take(out, pictures));
+    taken.map_err(|error| match error {
+        FolderError::Output(error) => Failure::of_output(error),
+        FolderError::Busy(_) => Failure { code: TRY_AGAIN, error: Some(error.into()) },
+        FolderError::Io { .. } => Failure { code: IO, error: Some(error.into()) },
+    })
 }
 
 fn facts(path: &Path, store: &Store, cameras: &[Camera]) -> SceneFacts {

@@ -1,4 +1,4 @@
-//! Results on stdout. A reader that has gone away ends the program, quietly.
+//! Results on stdout, messages on stderr. A reader of results that has gone away ends the program, quietly.
 
 use super::exit::{Failure, IO, OTHER, OrExit};
 use serde::Serialize;
@@ -16,6 +16,13 @@ pub(super) fn say(text: impl Display) -> Result<(), Failure> {
                 .then(|| anyhow::Error::from(error).context("cannot write to standard output")),
         }
     })
+}
+
+/// Says `text` on stderr. One that is closed, full or gone changes nothing.
+pub(super) fn tell(text: impl Display) {
+    // One write: a message comes whole.
+    let text = text.to_string();
+    let _ = std::io::stderr().write_all(text.as_bytes());
 }
 
 /// Writes `value` as JSON.

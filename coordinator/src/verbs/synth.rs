@@ -3,6 +3,7 @@
 use super::exit::{Failure, IO, OrExit, USAGE};
 use super::say::say;
 use ::bake::synth::{self, Kind, MAX_BUILDINGS, Model, generate, sprawl, write_glb, write_town};
+use protocol::file;
 use std::path::PathBuf;
 
 /// Triangles of a town, unless asked for.
@@ -59,7 +60,8 @@ fn metres(text: &str) -> Result<f64, String> {
     }
 }
 
-pub(crate) fn run(args: Args) -> Result<(), Failure> {
+pub(crate) fn run(mut args: Args) -> Result<(), Failure> {
+    args.output = file::place(&args.output, || args.from.clone()).map_err(Failure::of_output)?;
     match (args.kind, &args.from, args.buildings) {
         (What::Town, Some(from), None) => {
             let triangles = args.triangles.unwrap_or(TOWN_TRIANGLES);

@@ -1,9 +1,8 @@
 //! What each stage of a bake depends on, as digests.
 
-use crate::import::{ImportError, references};
+use crate::import::{ImportError, check_readable, references};
 use crate::options::Options;
 use crate::work::Key;
-use std::fs::File;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
@@ -30,6 +29,7 @@ impl Keys {
     pub(crate) fn of_files(inputs: &[PathBuf], options: &Options) -> Result<Self, ImportError> {
         let mut hasher = blake3::Hasher::new();
         for input in inputs {
+            check_readable(input)?;
             for file in std::iter::once(input.clone()).chain(references(input)?) {
                 // A file that is missing is the importer's to judge.
                 let digest = digest(&file).unwrap_or([0; 32]);
@@ -90,7 +90,7 @@ fn digest_of(before: &Key, settings: &[f64]) -> Key {
 /// Of a file's content, by all threads: its blocks are large enough for that.
 fn digest(path: &Path) -> std::io::Result<Key> {
     let mut hasher = blake3::Hasher::new();
-    let mut file = File::open(path)?;
+    let mut file = protocol::file::open(path)?;
     let mut block = vec![0; DIGEST_BYTES];
     loop {
         match file.read(&mut block)? {

@@ -97,7 +97,7 @@ impl Options {
     /// Reads a TOML file; keys left out keep their defaults.
     pub fn from_file(path: &Path) -> Result<Self, OptionsError> {
         let to_read = |source| OptionsError::Read { path: path.to_path_buf(), source };
-        let text = std::fs::read_to_string(path).map_err(to_read)?;
+        let text = protocol::file::read_settings(path).map_err(to_read)?;
         let options: Self = toml::from_str(&text).map_err(|source| OptionsError::Parse {
             path: path.to_path_buf(),
             source: Box::new(source),

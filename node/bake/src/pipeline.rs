@@ -18,7 +18,7 @@ use crate::spool::{Scene, Spool};
 use crate::summary::{self, StageSeconds, Summary};
 use crate::work::{Key, Records, Work, WorkError};
 use geometry::criteria::Criteria;
-use protocol::format::{self, SceneInfo, WriteError};
+use protocol::format::{self, Rule, SceneInfo, WriteError};
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -80,6 +80,8 @@ impl BakeError {
             Self::Work(WorkError::Busy { .. }) => 75,
             Self::Work(WorkError::Io { .. }) => 74,
             Self::Write(WriteError::TooMany { .. }) => 65,
+            // The source's fault, as what it places there.
+            Self::Write(WriteError::Invalid { source, .. }) if source.rule == Rule::TooFar => 65,
             Self::Write(WriteError::Invalid { .. }) => 70,
             Self::Write(_) => 74,
             Self::Threads { .. } => 69,

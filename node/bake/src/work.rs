@@ -41,14 +41,20 @@ impl WorkError {
 
 /// Where a bake of `output` keeps what is finished, until all of it is.
 pub fn working_folder(output: &Path) -> PathBuf {
-    let name = output.file_name().unwrap_or_default().to_string_lossy();
-    output.with_file_name(format!(".{name}.bake"))
+    hidden_beside(output, ".bake")
 }
 
 /// Where the making of far fields for `output` keeps cells that are finished, until all are.
 pub fn far_folder(output: &Path) -> PathBuf {
-    let name = output.file_name().unwrap_or_default().to_string_lossy();
-    output.with_file_name(format!(".{name}.far"))
+    hidden_beside(output, ".far")
+}
+
+/// The hidden name that belongs to `output` and ends in `ending`.
+fn hidden_beside(output: &Path, ending: &str) -> PathBuf {
+    let mut name = std::ffi::OsString::from(".");
+    name.push(output.file_name().unwrap_or_default());
+    name.push(ending);
+    output.with_file_name(name)
 }
 
 /// Where the scene lies that far fields are added to before it becomes `output`: in [`far_folder`], which is made.

@@ -136,7 +136,7 @@ impl LevelSurface {
 
     /// Distance of a point to it, scene units.
     pub fn distance(&self, point: [f64; 3]) -> f64 {
-        self.0.distance(point.into(), 0.0, &mut 0)
+        self.0.exact_distance(point.into(), 0.0, &mut 0)
     }
 }
 
@@ -216,7 +216,7 @@ fn measure(
     let mut hint = 0;
     let found = of_original
         .iter()
-        .fold(out, |greatest, p| greatest.max(surface.distance(*p, greatest, &mut hint)));
+        .fold(out, |greatest, p| greatest.max(surface.exact_distance(*p, greatest, &mut hint)));
     let samples = (of_coarse.len() + of_original.len()) as u64;
     Ok((found, coarse.reach.max(reach) * ROUNDING, samples))
 }

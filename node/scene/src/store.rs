@@ -38,7 +38,7 @@ impl Store {
     /// Opens a scene file and reads its skeleton.
     pub fn open(path: &Path) -> Result<Self, OpenError> {
         let to_io = |e| OpenError::io(path, e);
-        let file = File::open(path).map_err(to_io)?;
+        let file: File = protocol::file::open(path).map_err(to_io)?;
         let scene = read_skeleton_of(&file, path)?;
         let SceneFile { skeleton, geometry, pixels, digest, file_bytes } = scene;
         let file = Guarded::new(file, file_bytes).map_err(to_io)?;

@@ -20,6 +20,9 @@ pub use rule::{Place, Rule, Violation};
 /// Most hlods on a path from the root to a leaf, both counted: a fixed stack suffices to walk a tree.
 pub const MAX_DEPTH: u32 = 64;
 
+/// Greatest coordinate, and factor of a placement: what is drawn is `f32` beside the eye.
+pub const FARTHEST: f64 = 1e30;
+
 /// Checks the whole skeleton and reports the first broken rule.
 pub fn check(skeleton: &Skeleton) -> Result<(), Violation> {
     check_info(skeleton)?;
@@ -30,7 +33,7 @@ pub fn check(skeleton: &Skeleton) -> Result<(), Violation> {
     check_texture_lists(skeleton)?;
     for (i, transform) in skeleton.transforms.iter().enumerate() {
         let numbers = transform.linear.as_flattened().iter().chain(&transform.translation);
-        hold(Place::Transform(i as u32), numbers.copied().all(f64::is_finite), Rule::NotFinite)?;
+        hold_near(Place::Transform(i as u32), numbers)?;
     }
     check_parts(skeleton)?;
     check_levels(skeleton)?;
@@ -41,6 +44,15 @@ pub fn check(skeleton: &Skeleton) -> Result<(), Violation> {
 /// An error unless `kept`.
 fn hold(place: Place, kept: bool, rule: Rule) -> Result<(), Violation> {
     if kept { Ok(()) } else { Err(Violation { place, rule }) }
+}
+
+/// Numbers that make places: finite, and no larger than [`FARTHEST`].
+fn hold_near<'a>(
+    place: Place,
+    numbers: impl IntoIterator<Item = &'a f64> + Clone,
+) -> Result<(), Violation> {
+    hold(place, numbers.clone().into_iter().all(|x| x.is_finite()), Rule::NotFinite)?;
+    hold(place, numbers.into_iter().all(|x| x.abs() <= FARTHEST), Rule::TooFar)
 }
 
 fn check_info(skeleton: &Skeleton) -> Result<(), Violation> {
@@ -108,7 +120,7 @@ fn check_hlods(skeleton: &Skeleton) -> Result<(), Violation> {
     for (i, hlod) in skeleton.hlods.iter().enumerate() {
         let place = Place::Hlod(HlodId(i as u32));
         let corners = [hlod.min, hlod.max];
-        hold(place, corners.as_flattened().iter().all(|c| c.is_finite()), Rule::NotFinite)?;
+        hold_near(place, corners.as_flattened())?;
         hold(place, (0..3).all(|k| hlod.min[k] <= hlod.max[k]), Rule::EmptyBox)?;
         if hlod.parent != NONE {
             let outer = &skeleton.hlods[hlod.parent as usize];
@@ -163,7 +175,7 @@ pub(super) fn check_blobs(blobs: &[Blob]) -> Result<(), Violation> {
         hold(place, of_vertex == Layout::Textured || !masked, Rule::PlainMask)?;
         expected = after(place, blob.offset, bytes, expected)?;
         hold(place, is_power_of_two(blob.step), Rule::Step { step: blob.step })?;
-        hold(place, blob.origin.iter().all(|c| c.is_finite()), Rule::NotFinite)?;
+        hold_near(place, blob.origin.iter().chain(&[blob.step]))?;
         if blob.is_projected() {
             let all = Class::OpaqueDouble.all(triangles);
             hold(place, blob.classes == all, Rule::PatchClass)?;

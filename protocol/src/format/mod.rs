@@ -19,7 +19,7 @@ pub mod texture;
 pub mod vertex;
 pub mod write;
 
-pub use check::{Violation, check};
+pub use check::{Rule, Violation, check};
 pub use class::Class;
 pub use far_field::{Cube, Method, ViewCell};
 pub use inspect::{Inspection, summary};

@@ -173,7 +173,7 @@ pub fn parse(bytes: &[u8]) -> Result<SceneFile, FormatError> {
 
 /// Opens a scene file, reading its header and skeleton alone.
 pub fn read_skeleton(path: &Path) -> Result<SceneFile, ReadError> {
-    let file = File::open(path).map_err(|e| ReadError::io(path, e))?;
+    let file = crate::file::open(path).map_err(|e| ReadError::io(path, e))?;
     read_skeleton_of(&file, path)
 }
 

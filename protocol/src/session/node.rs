@@ -249,7 +249,8 @@ impl Node {
         assert_eq!(self.stage, Stage::Preparing, "prepared without being asked to");
         let settings = self.settings();
         if scene_digest != settings.scene_digest {
-            let path = &settings.scene_path;
+            let path = crate::path_text::from_text(&settings.scene_path);
+            let path = path.display();
             let reason = format!("{path} is not the scene of this run; copy that file here");
             return self.fail(FailureKind::NotAllowed, reason);
         }

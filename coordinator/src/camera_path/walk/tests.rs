@@ -2,7 +2,9 @@ use super::super::cameras;
 use super::super::generate::{GenerateError, PathKind, generate_within};
 use super::*;
 use protocol::camera::near_plane;
-use protocol::format::{Blob, Class, Hlod, Level, NONE, Part, SceneInfo, Skeleton, Vertex};
+use protocol::format::{
+    Blob, Class, Hlod, Level, NONE, Part, SceneInfo, Skeleton, Transform, Vertex,
+};
 use protocol::id::BlobId;
 use std::convert::Infallible;
 
@@ -236,4 +238,20 @@ fn a_longer_way_is_smoothed_to_the_same_beginning() {
         assert_eq!(part[..], whole[..part.len()], "{count}");
     }
     assert!(whole.len() > 40);
+}
+
+#[test]
+fn geometry_far_outside_of_the_box_is_an_error() {
+    let (mut skeleton, bytes) = scene(&[[[0.0; 3], [10.0; 3]]], [0.0, 0.0, 1.0], 0.0);
+    skeleton.transforms.push(Transform::IDENTITY);
+    skeleton.parts[0].transform = 0;
+    let walk = |skeleton: &Skeleton| {
+        let read = |blob: BlobId| Ok::<_, Infallible>(&bytes[blob.index()]);
+        generate_within(CELLS, PathKind::Walk, skeleton, read, 3, 1)
+    };
+    walk(&skeleton).unwrap();
+    for far in [1e4, 1e18, 1e29, 1e301] {
+        skeleton.transforms[0].linear[0][0] = far;
+        assert!(matches!(walk(&skeleton), Err(GenerateError::Geometry { .. })), "{far}");
+    }
 }

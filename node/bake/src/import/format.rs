@@ -1,10 +1,10 @@
 //! Which format a scene file is in.
 
-use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 
 use super::error::ImportError;
+use super::open::open;
 use super::text::{BYTE_ORDER_MARK, is_utf16, words};
 
 /// A format this program reads.
@@ -27,7 +27,7 @@ impl Format {
     /// The format of the file at `path`: what its name ends in, else what it begins with.
     pub(super) fn of(path: &Path) -> Result<Self, ImportError> {
         let unreadable = |source| ImportError::unreadable(path, source);
-        let file = File::open(path).map_err(unreadable)?;
+        let file = open(path).map_err(unreadable)?;
         let length = file.metadata().map_err(unreadable)?.len();
         let mut head = Vec::new();
         file.take(HEAD_BYTES).read_to_end(&mut head).map_err(unreadable)?;

@@ -9,6 +9,7 @@ mod error;
 mod format;
 mod gltf;
 mod obj;
+mod open;
 mod picture;
 mod place;
 mod ply;
@@ -25,6 +26,7 @@ mod uri;
 use std::path::Path;
 
 pub use error::{ImportError, ImportErrorKind};
+pub(crate) use open::check_readable;
 pub use references::references;
 
 use self::emit::Emitter;

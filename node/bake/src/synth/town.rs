@@ -10,7 +10,7 @@ use geometry::bounds::Aabb;
 use glam::{DMat3, DVec3};
 use serde::Deserialize;
 use serde_json::{Map, Value, json};
-use std::io::Write;
+use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
 use survey::{Scene, View, chunks};
 
@@ -76,7 +76,8 @@ pub struct Town {
 pub fn write_town(from: &Path, triangles: u64, seed: u64, to: &Path) -> Result<Town, TownError> {
     let read = |source| TownError::Read { path: from.to_owned(), source };
     let bad = |what| TownError::BadData { path: from.to_owned(), what };
-    let bytes = std::fs::read(from).map_err(read)?;
+    let mut bytes = Vec::new();
+    protocol::file::open(from).and_then(|mut f| f.read_to_end(&mut bytes)).map_err(read)?;
     let (json, binary) = chunks(&bytes).map_err(bad)?;
     let mut document: Map<String, Value> = serde_json::from_slice(json)
         .map_err(|error| bad(format!("its JSON is malformed: {error}")))?;

@@ -73,15 +73,34 @@ impl Surface {
         self.nearest2(local, enough * enough, hint).sqrt()
     }
 
-    /// The same, squared, from a point relative to the origin.
+    /// The same, off by roundings of lengths alone even where triangles are slim, which takes longer:
+    /// [`Surface::distance`] may find too much there.
+    pub fn exact_distance(&self, p: DVec3, enough: f64, hint: &mut u32) -> f64 {
+        let local = p - self.origin;
+        *hint = (*hint).min(self.triangles.len().saturating_sub(1) as u32);
+        self.nearest2_by(Triangle::exact_distance2, local, enough * enough, hint).sqrt()
+    }
+
+    /// [`Surface::distance`], squared, from a point relative to the origin.
     pub(super) fn nearest2(&self, p: DVec3, enough: f64, hint: &mut u32) -> f64 {
+        self.nearest2_by(Triangle::distance2, p, enough, hint)
+    }
+
+    #[inline]
+    fn nearest2_by(
+        &self,
+        distance2: impl Fn(&Triangle, DVec3) -> f64,
+        p: DVec3,
+        enough: f64,
+        hint: &mut u32,
+    ) -> f64 {
         let Some(first) = self.triangles.get(*hint as usize) else { return f64::INFINITY };
-        let mut best = first.distance2(p);
+        let mut best = distance2(first, p);
         if best <= enough {
             return best;
         }
         self.tree.search(p.as_vec3a(), best, |id| {
-            let distance = self.triangles[id as usize].distance2(p);
+            let distance = distance2(&self.triangles[id as usize], p);
             if distance < best {
                 (best, *hint) = (distance, id);
             }

@@ -293,3 +293,33 @@ fn an_unchanged_surface_is_nowhere_off() {
     let (found, _) = directed_but(&ball, &surface, &places, &TIGHT, f64::INFINITY);
     assert!(found.upper < 1e-11 && found.lower == 0.0, "{found:?}");
 }
+
+#[test]
+fn slim_triangles_are_measured_exactly() {
+    let mut rng = StdRng::seed_from_u64(8);
+    for slim in [1e-2, 1e-4, 1e-6, 1e-9] {
+        for _ in 0..200 {
+            // In the plane of x and y, so that the truth is known: above the triangle it is the height.
+            let length = 1e5;
+            let top = [length * rng.random_range(0.0..1.0), length * slim, 0.0];
+            let mut corners = [[0.0; 3], [length, 0.0, 0.0], top];
+            corners.rotate_left(rng.random_range(0..3));
+            let surface = Surface::new(&mesh_of(&corners, &[[0, 1, 2]]));
+            let (v, w) = (rng.random_range(0.05..0.45), rng.random_range(0.05..0.45));
+            let [a, b, c] = corners.map(DVec3::from_array);
+            let above = [0.0, 1e-3, 10.0, 1e4][rng.random_range(0..4)];
+            let p = a + (b - a) * v + (c - a) * w + DVec3::Z * above;
+            let found = surface.exact_distance(p, 0.0, &mut 0);
+            assert!((found - above).abs() < 1e-9, "{slim} {found} {above}");
+            let beside = surface.exact_distance(DVec3::new(0.3 * length, -above, 0.0), 0.0, &mut 0);
+            assert!((beside - above).abs() < 1e-9, "{slim} {beside} {above}");
+        }
+    }
+    let heap = heap(&mut rng, 200);
+    let surface = Surface::new(&heap);
+    for _ in 0..300 {
+        let p = DVec3::from_array(std::array::from_fn(|_| rng.random_range(-2f64..2.0)));
+        let found = surface.exact_distance(p, 0.0, &mut 0);
+        assert!((found - brute(p, &heap)).abs() < 1e-12, "{found}");
+    }
+}

@@ -5,6 +5,9 @@ use glam::DVec3;
 /// Squared height over squared length below which a triangle is measured as its edges.
 const NEEDLE: f64 = 1e-20;
 
+/// Likewise, squared height over squared length below which products of products are not exact enough.
+const SLIM: f64 = 1e-4;
+
 /// A triangle as distances need it, relative to the surface's middle.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Triangle {
@@ -60,6 +63,40 @@ impl Triangle {
             (1.0 - w, w)
         };
         (ap - self.ab * v - self.ac * w).length_squared()
+    }
+
+    /// [`Self::distance2`] that is off by roundings of the lengths alone, however slim the triangle: products of
+    /// products cancel where it is, and the foot it finds is then another point of the triangle, too far away.
+    pub(super) fn exact_distance2(&self, p: DVec3) -> f64 {
+        let [bb, bc, cc] = self.products;
+        let longest = bb.max(cc).max(bb - 2.0 * bc + cc);
+        if self.area > SLIM * longest * longest {
+            return self.distance2(p);
+        }
+        let edges = self.edges_distance2(p - self.a);
+        self.plane_distance2(p).map_or(edges, |inside| inside.min(edges))
+    }
+
+    /// Squared distance from the plane, of a point that lies above or below the triangle: measured along its
+    /// longest edge and its height over that.
+    fn plane_distance2(&self, p: DVec3) -> Option<f64> {
+        let corners = self.corners();
+        let length2 = |k: usize| (corners[(k + 1) % 3] - corners[k]).length_squared();
+        let first = (0..3).max_by(|&i, &j| length2(i).total_cmp(&length2(j)))?;
+        let [from, to, top] = [0, 1, 2].map(|k| corners[(first + k) % 3]);
+        let (base, side, ap) = (to - from, top - from, p - from);
+        let length = base.length();
+        let along = base / length;
+        let foot = side.dot(along);
+        let up = side - along * foot;
+        let height = up.length();
+        let up = up / height;
+        let (x, y) = (ap.dot(along), ap.dot(up));
+        let share = y / height;
+        let within = foot * share..=length + (foot - length) * share;
+        // Also false where there is no height.
+        let inside = (0.0..=1.0).contains(&share) && within.contains(&x);
+        inside.then(|| (ap - along * x - up * y).length_squared())
     }
 
     /// Squared distance from the nearest edge to the point at `ap` from the first corner.

@@ -200,7 +200,7 @@ impl Nearest<'_> {
             for &(_, sample) in run {
                 let (p, so_far) = (self.samples[sample as usize], self.distances[sample as usize]);
                 if so_far > self.greatest && bounds.distance(p) < so_far {
-                    let distance = leaf.surface.distance(p, self.greatest, &mut hint);
+                    let distance = leaf.surface.exact_distance(p, self.greatest, &mut hint);
                     self.distances[sample as usize] = so_far.min(distance);
                 }
             }

@@ -1,6 +1,6 @@
 //! The rules of a skeleton by name, and where one is broken.
 
-use super::MAX_DEPTH;
+use super::{FARTHEST, MAX_DEPTH};
 #[cfg(doc)]
 use crate::format::Skeleton;
 use crate::format::texture::MAX_SIDE;
@@ -63,6 +63,9 @@ pub enum Rule {
     /// No NaN, no infinity.
     #[error("a number is not finite")]
     NotFinite,
+    /// Nothing lies farther away than [`FARTHEST`].
+    #[error("a coordinate or scale is larger than {FARTHEST:e}")]
+    TooFar,
     /// Up is a direction.
     #[error("the up direction has no length")]
     NoUp,

@@ -245,6 +245,12 @@ fn facts_and_placements() {
     assert_eq!(broken(|s| s.info.reserved2 = 1).rule, Rule::Reserved);
     let transform = broken(|s| s.transforms[0].linear[1][2] = f64::INFINITY);
     assert_eq!(transform, Violation { place: Place::Transform(0), rule: Rule::NotFinite });
+    for far in [1e31, -1e301, f64::MAX] {
+        assert_eq!(broken(|s| s.transforms[0].linear[1][1] = far).rule, Rule::TooFar);
+        assert_eq!(broken(|s| s.transforms[0].translation[1] = far).rule, Rule::TooFar);
+        assert_eq!(broken(|s| s.blobs[0].origin[1] = far).rule, Rule::TooFar);
+        assert_eq!(broken(|s| s.hlods[0].max[1] = far.abs()).rule, Rule::TooFar);
+    }
     assert_eq!(transform.to_string(), "transform 0: a number is not finite");
 }
 
