@@ -15,6 +15,9 @@ use crate::source::{Alpha, Imported, Sink, SourceMesh, SourceObject, Surface, Te
 const MOST_COORDINATE: f64 = 1e18;
 /// What is smaller than this is nothing, and measuring it needs numbers that no computer has.
 const LEAST_SIZE: f64 = 1e-30;
+/// The least size of an object as a share of how far away it stands: double precision leaves it four
+/// bits then.
+const LEAST_SHARE: f64 = 1.0 / (1u64 << 48) as f64;
 
 /// The note of a scene of which nothing is seen.
 pub(super) const ALL_UNSEEN: &str = "all of it is transparent: alpha is 0, or below the cutoff";
@@ -119,6 +122,7 @@ impl<'a> Emitter<'a> {
             // Of a mesh that has lost all its triangles another note tells.
             far == 0.0 || far >= LEAST_SIZE
         });
+        objects.iter().try_for_each(|object| self.hold_shape(object))?;
         let left_out = all - objects.len();
         if left_out > 0 {
             notes.push(format!("{left_out} objects smaller than {LEAST_SIZE:e} left out"));
@@ -145,6 +149,21 @@ impl<'a> Emitter<'a> {
             at: format!("object {:?}", object.name),
             what: format!("it reaches {far:e} units far, and {MOST_COORDINATE:e} is the most"),
             fix: "scale the scene down",
+        })
+    }
+
+    /// Refuses an object that is too small to keep its shape where it stands.
+    fn hold_shape(&self, object: &SourceObject) -> Result<(), ImportError> {
+        let size = far(&object.world_from_mesh, self.reaches[object.mesh]).max_element();
+        let away = object.world_from_mesh.translation.abs().max_element();
+        if size == 0.0 || size >= away * LEAST_SHARE {
+            return Ok(());
+        }
+        Err(ImportError::Invalid {
+            file: self.file.into(),
+            at: format!("object {:?}", object.name),
+            what: format!("it stands {away:e} units away, where its {size:e} units are no more"),
+            fix: "move it nearer to the origin",
         })
     }
 
@@ -296,6 +315,10 @@ mod tests {
         assert!(placed([0.0, -1e18, 0.0], DAffine3::IDENTITY).is_ok());
         assert!(placed([2.0, 0.0, 0.0], scaled(0.5e18)).is_ok());
         assert!(placed([2.0, 0.0, 0.0], scaled(0.5e-30)).is_ok());
+        let at = |away: f64| DAffine3::from_translation(DVec3::new(0.0, -away, 0.0));
+        assert!(placed([1.0; 3], at(2e14)).is_ok());
+        let message = placed([1.0; 3], at(3e14)).unwrap_err();
+        assert!(message.contains("object \"hall\": it stands 3e14 units away"), "{message}");
         let message = placed([2.0, 0.0, 0.0], scaled(0.4e-30)).unwrap_err();
         assert!(message.contains("1 objects smaller than 1e-30 left out"), "{message}");
         for (point, place) in [

@@ -5,6 +5,7 @@ use std::collections::VecDeque;
 use std::io::Cursor;
 
 use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader, Limits, RgbaImage};
+use rayon::prelude::*;
 
 /// The widest and highest picture that is decoded, in pixels.
 const MAX_SIDE: u32 = 16_384;
@@ -93,7 +94,7 @@ fn is_tga(bytes: &[u8]) -> bool {
 }
 
 /// A picture that is read row by row, so that it need not be there as RGBA as a whole.
-pub(super) trait Texels {
+pub(super) trait Texels: Sync {
     /// Width and height.
     fn size(&self) -> [u32; 2];
     /// A row, sRGB-encoded RGBA.
@@ -215,11 +216,13 @@ fn resample(pixels: &impl Texels, uses_alpha: bool, side: u32) -> (Vec<u8>, [f64
             first_held += 1;
         }
         first_held = *first;
-        while held.len() < weights.len() {
-            let row = pixels.row((first_held + held.len()) as u32);
-            let row: Vec<[f32; 4]> = row.iter().map(premultiplied).collect();
-            held.push_back(columns.iter().map(|(at, w)| mixed(row[*at..].iter(), w)).collect());
-        }
+        // A large picture is reduced alone, so its rows are shared out.
+        let missing = first_held + held.len()..first_held + weights.len();
+        let reduced = missing.into_par_iter().map(|row| {
+            let row: Vec<[f32; 4]> = pixels.row(row as u32).iter().map(premultiplied).collect();
+            columns.iter().map(|(at, w)| mixed(row[*at..].iter(), w)).collect()
+        });
+        held.extend(reduced.collect::<Vec<Vec<[f32; 4]>>>());
         for column in 0..side as usize {
             let texel = mixed(held.iter().map(|row| &row[column]), weights);
             total.iter_mut().zip(texel).for_each(|(sum, lane)| *sum += f64::from(lane));
