@@ -279,7 +279,7 @@ mod tests {
 
     fn png(pixels: &RgbaImage) -> Vec<u8> {
         let mut out = Cursor::new(Vec::new());
-        pixels.write_to(&mut out, image::ImageFormat::Png).unwrap();
+        pixels.write_to(&mut out, ImageFormat::Png).unwrap();
         out.into_inner()
     }
 

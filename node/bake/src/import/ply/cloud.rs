@@ -37,7 +37,7 @@ const COLOR: std::ops::Range<usize> = 6..10;
 /// Which of these a property holds.
 fn lane_of(property: &Property) -> Option<usize> {
     let named = |names: &&[&str]| names.contains(&property.name.as_str());
-    LANES.iter().position(|names| named(&names)).filter(|_| property.list.is_none())
+    LANES.iter().position(named).filter(|_| property.list.is_none())
 }
 
 /// Which property is which lane, and what stands for 1; by property.
@@ -249,7 +249,7 @@ impl Cloud {
                 }
                 strip.push(self.index(value)?);
                 if let [.., a, b, c] = strip[..] {
-                    let turns = strip.len() % 2 == 0;
+                    let turns = strip.len().is_multiple_of(2);
                     self.triangles.push(if turns { [b, a, c] } else { [a, b, c] });
                     self.own_nothing();
                 }
