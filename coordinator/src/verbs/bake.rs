@@ -235,6 +235,10 @@ pub(super) fn bake_file(
 ) -> Result<::bake::Summary, Failure> {
     let kept = ::bake::working_folder(output);
     let _during = During::new(Work::Baking { what: output.display().to_string(), kept });
-    ::bake::bake(inputs, output, options, &Bars::default())
-        .map_err(|error| Failure { code: error.exit_code(), error: Some(error.into()) })
+    ::bake::bake(inputs, output, options, &Bars::default()).map_err(refused)
+}
+
+/// Why sources make no scene, with the code for it.
+pub(super) fn refused(error: ::bake::BakeError) -> Failure {
+    Failure { code: error.exit_code(), error: Some(error.into()) }
 }

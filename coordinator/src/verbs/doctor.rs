@@ -1,8 +1,9 @@
 //! `doctor`: what this machine can render with, or what models hold and what looks wrong in them.
 
-use super::exit::{BAD_DATA, Failure, IO, NO_INPUT};
+use super::bake::refused;
+use super::exit::Failure;
 use super::say::say;
-use ::bake::import::{ImportError, ImportErrorKind, ImportLimits};
+use ::bake::import::ImportLimits;
 use std::path::PathBuf;
 
 #[derive(Debug, clap::Args)]
@@ -18,15 +19,7 @@ pub(crate) fn run(Args { models }: Args) -> Result<(), Failure> {
     }
     models.iter().try_for_each(|model| {
         let survey = ::bake::survey::survey(model, &ImportLimits::default());
-        say(survey.map_err(of_import)?)
+        // What cannot be looked at cannot be baked, and for the same reason.
+        say(survey.map_err(|error| refused(error.into()))?)
     })
-}
-
-fn of_import(error: ImportError) -> Failure {
-    let code = match error.kind() {
-        ImportErrorKind::NotFound => NO_INPUT,
-        ImportErrorKind::Io => IO,
-        ImportErrorKind::BadData => BAD_DATA,
-    };
-    Failure { code, error: Some(error.into()) }
 }

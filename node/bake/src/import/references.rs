@@ -1,12 +1,12 @@
 //! Which other files a scene file refers to: a quick look, before anything is imported.
 
 use serde::Deserialize;
-use std::fs::File;
 use std::io::{BufReader, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
 use super::error::ImportError;
 use super::format::Format;
+use super::open::open;
 use super::text::BYTE_ORDER_MARK;
 use super::uri::Folder;
 use super::{obj, ply};
@@ -42,7 +42,7 @@ pub fn references(path: &Path) -> Result<Vec<PathBuf>, ImportError> {
 }
 
 fn in_gltf(path: &Path) -> std::io::Result<Vec<PathBuf>> {
-    let mut file = File::open(path)?;
+    let mut file = open(path)?;
     let mut head = Vec::new();
     file.by_ref().take(20).read_to_end(&mut head)?;
     let (start, length) = match head.first_chunk::<20>() {

@@ -1,7 +1,6 @@
 //! STL, binary or text: triangles, in binary files with colours as VisCAM, SolidView or Materialise write them. Normals
 //! are worked out anew, as files are often wrong about them.
 
-use std::fs::File;
 use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
 
@@ -10,6 +9,7 @@ use glam::DVec3;
 use super::builder::{Builder, Paint, Vertices};
 use super::emit::Emitter;
 use super::error::ImportError;
+use super::open::open;
 use super::picture::linear_of;
 use super::place;
 use super::text::{BYTE_ORDER_MARK, Lines, excerpt, is_utf16, never, number, words};
@@ -25,7 +25,7 @@ const TEXT_BYTES: usize = 1024;
 /// Reads the scene file at `path`. Each solid becomes one object.
 pub(super) fn import(path: &Path, out: Emitter<'_>) -> Result<Imported, ImportError> {
     let unreadable = |source| ImportError::unreadable(path, source);
-    let file = File::open(path).map_err(unreadable)?;
+    let file = open(path).map_err(unreadable)?;
     let length = file.metadata().map_err(unreadable)?.len();
     read(path, &mut BufReader::new(file), length, out)
 }

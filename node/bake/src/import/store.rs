@@ -1,9 +1,10 @@
 //! Bytes that are read a range at a time: a file, or what was decoded from one.
 
-use std::fs::File;
 use std::io::{self, Cursor, Read, Seek, SeekFrom};
 use std::path::Path;
 use std::sync::Mutex;
+
+use super::open::open;
 
 trait ReadSeek: Read + Seek + Send {}
 
@@ -16,13 +17,9 @@ pub(super) struct Store {
 }
 
 impl Store {
-    /// A file. A folder is refused, for what it would give is no bytes.
+    /// A regular file.
     pub(super) fn open(path: &Path) -> io::Result<Self> {
-        let file = File::open(path)?;
-        if file.metadata()?.is_dir() {
-            return Err(io::ErrorKind::IsADirectory.into());
-        }
-        Self::new(file)
+        Self::new(open(path)?)
     }
 
     /// Bytes that are in memory.

@@ -2,7 +2,6 @@
 //! written in any case.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::fs::File;
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 
@@ -11,6 +10,7 @@ use super::names::{self, libraries, locate, may_join, statement};
 use crate::import::builder::Paint;
 use crate::import::emit::Emitter;
 use crate::import::error::ImportError;
+use crate::import::open::open;
 use crate::import::picture::linear_of;
 use crate::import::text::{Lines, data, excerpt, number};
 use crate::import::texture::{self, Had};
@@ -209,7 +209,7 @@ impl<'a> Library<'a> {
             match path {
                 Ok(path) if self.files.insert(path.clone()) => {
                     let unreadable = |source| ImportError::Read { file: path.clone(), source };
-                    let file = File::open(&path).map_err(unreadable)?;
+                    let file = open(&path).map_err(unreadable)?;
                     self.parse(&path, BufReader::new(file))?;
                     // What was asked for too early may be defined by now.
                     self.numbers.retain(|_, number| *number != 0);

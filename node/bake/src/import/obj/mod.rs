@@ -11,7 +11,6 @@ mod mesh;
 mod names;
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::fs::File;
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 
@@ -23,6 +22,7 @@ use self::mesh::{Corner, Faces};
 use self::names::{may_join, name, statement};
 use super::emit::Emitter;
 use super::error::ImportError;
+use super::open::open;
 use super::picture::linear_of;
 use super::place;
 use super::polygon::triangulate;
@@ -34,7 +34,7 @@ const UP: [f64; 3] = [0.0, 1.0, 0.0];
 
 /// Reads the scene file at `path`, and the material libraries and textures it refers to.
 pub(super) fn import(path: &Path, out: Emitter<'_>) -> Result<Imported, ImportError> {
-    let file = File::open(path).map_err(|source| ImportError::unreadable(path, source))?;
+    let file = open(path).map_err(|source| ImportError::unreadable(path, source))?;
     read(path, BufReader::new(file), out)
 }
 
@@ -317,7 +317,7 @@ pub(super) fn references(path: &Path) -> Result<Vec<PathBuf>, ImportError> {
 
 /// The names behind a keyword, line by line.
 fn named_after(path: &Path, keyword: &[u8]) -> Result<Vec<String>, ImportError> {
-    let file = File::open(path).map_err(|source| ImportError::unreadable(path, source))?;
+    let file = open(path).map_err(|source| ImportError::unreadable(path, source))?;
     let mut lines = Lines::new(BufReader::new(file));
     let mut found = Vec::new();
     while let Some((_, line)) = lines.next(may_join).map_err(|error| error.of(path))? {

@@ -165,7 +165,7 @@ mod tests {
             ("../t.png", Some("t.png")),
             ("..\\maps\\m.png", Some("maps/m.png")),
             ("maps/m.png", Some("maps/m.png")),
-            ("D:/work/s.png", Some("s.png")),
+            ("D:/pictures/s.png", Some("s.png")),
             ("deep/d.png", Some("lib/deep/d.png")),
             ("deep/../t.png", Some("lib/t.png")),
             ("../../outside.png", None),

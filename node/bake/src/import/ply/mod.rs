@@ -9,7 +9,6 @@ mod cloud;
 mod header;
 mod values;
 
-use std::fs::File;
 use std::io::{self, BufRead, BufReader};
 use std::path::{Path, PathBuf};
 
@@ -27,13 +26,13 @@ const UP: [f64; 3] = [0.0, 0.0, 1.0];
 
 /// Reads the scene file at `path`.
 pub(super) fn import(path: &Path, out: Emitter<'_>) -> Result<Imported, ImportError> {
-    read(path, || Ok(BufReader::new(File::open(path)?)), out)
+    read(path, || Ok(BufReader::new(super::open::open(path)?)), out)
 }
 
 /// The pictures that the scene file at `path` refers to, whatever its importer makes of them.
 pub(super) fn references(path: &Path) -> Result<Vec<PathBuf>, ImportError> {
     let unreadable = |source| ImportError::unreadable(path, source);
-    let reader = BufReader::new(File::open(path).map_err(unreadable)?);
+    let reader = BufReader::new(super::open::open(path).map_err(unreadable)?);
     match header::read(reader) {
         Ok(header) => {
             Ok(header.textures.iter().filter_map(|name| picture(path, name).ok()).collect())
@@ -75,8 +74,11 @@ fn read<R: BufRead>(
     }
     let by_line = header.encoding == Encoding::Text
         && lines(&mut reader).map_err(unreadable)? >= header.lines();
-    let mut reader = open().map_err(unreadable)?;
-    header::read(&mut reader).map_err(|error| fault("header", error))?;
+    if header.encoding == Encoding::Text {
+        // Its lines have been counted.
+        reader = open().map_err(unreadable)?;
+        header::read(&mut reader).map_err(|error| fault("header", error))?;
+    }
 
     let mut values = Values::new(reader, header.encoding, by_line);
     let mut cloud = Cloud::new(&header);

@@ -251,17 +251,22 @@ fn images_that_stand_in_one_place_are_one_texture() {
         (json!({"uri": "none.png"}), 3),
     ] {
         let image = scene.add("images", image);
-        let texture = scene.add("textures", json!({"source": image}));
-        let material = json!({"pbrMetallicRoughness": {"baseColorTexture": {"index": texture}}});
-        let number = scene.add("materials", material);
-        let mut primitive = scene.json["meshes"][0]["primitives"][0].clone();
-        primitive["material"] = json!(number);
-        scene.json["meshes"][0]["primitives"].as_array_mut().unwrap().push(primitive);
+        shows_again(&mut scene, image);
         let file = folder.path().join("scene.glb");
         std::fs::write(&file, scene.bytes()).unwrap();
         let source = import_all(&file).unwrap();
         assert_eq!(source.textures.len(), expected);
     }
+}
+
+/// The first primitive once more, with this image on it.
+fn shows_again(scene: &mut Scene, image: usize) {
+    let texture = scene.add("textures", json!({"source": image}));
+    let material = json!({"pbrMetallicRoughness": {"baseColorTexture": {"index": texture}}});
+    let number = scene.add("materials", material);
+    let mut primitive = scene.json["meshes"][0]["primitives"][0].clone();
+    primitive["material"] = json!(number);
+    scene.json["meshes"][0]["primitives"].as_array_mut().unwrap().push(primitive);
 }
 
 #[test]
@@ -307,12 +312,7 @@ fn pictures_come_out_the_same_with_little_memory() {
     for blue in 0..9 {
         let view = scene.view(&png(2, 2, &[WHITE, WHITE, BLACK, [9, 9, blue, 255]]));
         let image = scene.add("images", json!({"bufferView": view}));
-        let texture = scene.add("textures", json!({"source": image}));
-        let material = json!({"pbrMetallicRoughness": {"baseColorTexture": {"index": texture}}});
-        let number = scene.add("materials", material);
-        let mut primitive = scene.json["meshes"][0]["primitives"][0].clone();
-        primitive["material"] = json!(number);
-        scene.json["meshes"][0]["primitives"].as_array_mut().unwrap().push(primitive);
+        shows_again(&mut scene, image);
     }
     let with = |memory| scene.import_within(ImportLimits { memory, ..ImportLimits::default() });
     let much = with(1 << 30).unwrap();
