@@ -25,7 +25,7 @@ pub struct Simplified {
 }
 
 /// Reduces `mesh` to about `target` triangles, or as near to it as `max_error` (mesh units, by
-/// estimate) and the topology allow. Disjoint parts smaller than the error are dropped, unless they
+/// estimate) and the topology allow; thousands of triangles that share one edge stay as they are. Disjoint parts smaller than the error are dropped, unless they
 /// hold a locked vertex, so the result may be empty. Vertices are kept where they are; borders between
 /// colours, surfaces and charts survive as borders.
 pub fn simplify(mesh: &Welded, target: usize, max_error: f64) -> Simplified {
@@ -34,6 +34,9 @@ pub fn simplify(mesh: &Welded, target: usize, max_error: f64) -> Simplified {
     let rounding = bounds.diagonal() * ROUNDING;
     // The foreign code aborts when asked for more triangles than there are.
     if mesh.triangles.len() <= target {
+        return Simplified { triangles: mesh.triangles.clone(), estimate: rounding };
+    }
+    if has_fins(mesh) {
         return Simplified { triangles: mesh.triangles.clone(), estimate: rounding };
     }
     let input = Input::new(mesh, &bounds);
@@ -45,6 +48,26 @@ pub fn simplify(mesh: &Welded, target: usize, max_error: f64) -> Simplified {
         input.simplify(mesh, target, limit, SimplifyOptions::None)
     };
     Simplified { triangles, estimate: f64::from(reported) * input.scale + rounding }
+}
+
+/// A position in more triangles than this is a hub, and more fins than this are many.
+const MANY: u32 = 256;
+
+/// Whether many vertices have no neighbours but hubs. The foreign code works in passes, each with one
+/// collapse at a vertex, so that these take as many passes as they are.
+fn has_fins(mesh: &Welded) -> bool {
+    let places = || mesh.triangles.iter().map(|triangle| triangle.map(|v| mesh.place(v)));
+    let mut uses = vec![0u32; mesh.places()];
+    places().flatten().for_each(|place| uses[place] += 1);
+    let is_hub = |place: usize| uses[place] > MANY;
+
+    let mut is_fin: Vec<bool> = uses.iter().map(|&uses| uses > 0 && uses <= MANY).collect();
+    for [a, b, c] in places() {
+        for (own, others) in [(a, [b, c]), (b, [c, a]), (c, [a, b])] {
+            is_fin[own] &= others.into_iter().all(is_hub);
+        }
+    }
+    is_fin.into_iter().filter(|&is_fin| is_fin).count() > MANY as usize
 }
 
 /// Whether every locked vertex that a triangle used is still used.
@@ -205,6 +228,26 @@ mod tests {
                 "{target}: {measured} {estimate}"
             );
         }
+    }
+
+    #[test]
+    fn an_edge_that_many_triangles_share_is_left_alone() {
+        let fins = |count: u32| {
+            let around = |i: u32| f64::from(i).sin_cos();
+            let mut positions = vec![[0.0; 3], [0.0, 0.0, 1.0]];
+            positions.extend((0..count).map(around).map(|(x, y)| [x, y, 0.5]));
+            let triangles: Vec<[u32; 3]> = (0..count).map(|i| [0, 1, i + 2]).collect();
+            weld(&mesh_of(&positions, &triangles), Weld::within(0.0))
+        };
+        assert_eq!(simplify(&fins(600), 100, 10.0).triangles.len(), 600);
+        assert!(simplify(&fins(200), 100, 10.0).triangles.len() <= 100);
+        // A cone has a hub, and its rim can be collapsed anywhere.
+        let rim = |i: u32| (f64::from(i) / 600.0 * std::f64::consts::TAU).sin_cos();
+        let mut positions = vec![[0.0, 0.0, 1.0]];
+        positions.extend((0..600).map(rim).map(|(x, y)| [x, y, 0.0]));
+        let triangles: Vec<[u32; 3]> = (0..600).map(|i| [0, i + 1, (i + 1) % 600 + 1]).collect();
+        let cone = weld(&mesh_of(&positions, &triangles), Weld::within(0.0));
+        assert!(simplify(&cone, 100, 10.0).triangles.len() <= 100);
     }
 
     #[test]

@@ -168,6 +168,16 @@ impl Welded {
         self.vertices.iter().any(|vertex| vertex.tex_coord != [0.0; 2])
     }
 
+    /// Where a wedge stands: the same number for all wedges of a position, below [`Self::places`].
+    pub(crate) fn place(&self, wedge: u32) -> usize {
+        self.sources[wedge as usize] as usize
+    }
+
+    /// How many numbers there are for places.
+    pub(crate) fn places(&self) -> usize {
+        self.sources.iter().max().map_or(0, |&last| last as usize + 1)
+    }
+
     /// Way on the surface, mesh units, for a step of 1 in texture coordinates: the mean over the area
     /// that has any; 0 if none has.
     pub(crate) fn way_per_texture(&self) -> f64 {

@@ -62,10 +62,10 @@ pub(super) enum Fault {
 }
 
 impl Fault {
-    /// The same where the vertices are only those of a file from number `first` on.
-    pub(super) fn numbered_from(self, first: usize) -> Self {
+    /// The same with the numbers that vertices have in the file.
+    pub(super) fn numbered(self, number: impl Fn(usize) -> usize) -> Self {
         match self {
-            Self::Position { vertex, value } => Self::Position { vertex: first + vertex, value },
+            Self::Position { vertex, value } => Self::Position { vertex: number(vertex), value },
             other => other,
         }
     }

@@ -49,9 +49,26 @@ pub(super) fn decode(bytes: &[u8]) -> Result<DynamicImage, String> {
 
 /// Bytes of memory that decoding takes, as far as the picture's header tells.
 pub(super) fn decode_bytes(bytes: &[u8]) -> u64 {
-    let decoder = reader(bytes).ok().and_then(|reader| reader.into_decoder().ok());
     // Some decoders hold the whole picture in a form of their own, too.
-    decoder.map_or(0, |decoder| decoder.total_bytes().min(MAX_DECODE_BYTES).saturating_mul(2))
+    texel_bytes(bytes).unwrap_or(0).saturating_mul(2)
+}
+
+/// Why a picture is too large for so much memory, if it is; what to do stands in [`FIX_TOO_LARGE`].
+pub(super) fn too_large(bytes: &[u8], memory: u64) -> Option<String> {
+    const MIB: u64 = 1 << 20;
+    let needed = texel_bytes(bytes).filter(|&needed| needed > memory)?.div_ceil(MIB);
+    Some(format!("it takes {needed} MiB to decode it, and the memory is {} MiB", memory / MIB))
+}
+
+/// What to do about a picture that is too large.
+pub(super) const FIX_TOO_LARGE: &str = "raise --memory, or reduce the picture";
+
+/// Bytes of the texels as they are decoded; `None` of what is not decoded at all.
+fn texel_bytes(bytes: &[u8]) -> Option<u64> {
+    let decoder = reader(bytes).ok()?.into_decoder().ok()?;
+    let (width, height) = decoder.dimensions();
+    let bytes = decoder.total_bytes();
+    (width.max(height) <= MAX_SIDE && bytes <= MAX_DECODE_BYTES).then_some(bytes)
 }
 
 fn reader(bytes: &[u8]) -> Result<ImageReader<Cursor<&[u8]>>, String> {
@@ -333,6 +350,9 @@ mod tests {
                 assert!(decode(&bytes[..end]).is_err(), "{format:?} cut at {end}");
             }
         }
+        let large = png(&image(1024, 1, checker));
+        assert_eq!(too_large(&large, 4096), None);
+        assert!(too_large(&large, 4095).unwrap().contains("takes 1 MiB"));
         let error = decode(b"\xABKTX 20\xBB\r\n\x1A\n").unwrap_err();
         assert!(error.contains("it is KTX2"), "{error}");
     }

@@ -31,6 +31,15 @@ pub(super) fn read(
 ) -> Result<Result<Had, String>, ImportError> {
     let unreadable = |source| ImportError::Read { file: path.into(), source };
     let bytes = std::fs::read(path).map_err(unreadable)?;
+    if let Some(what) = picture::too_large(&bytes, out.limits.memory) {
+        let at = format!("picture {name:?}");
+        return Err(ImportError::Invalid {
+            file: path.into(),
+            at,
+            what,
+            fix: picture::FIX_TOO_LARGE,
+        });
+    }
     let pixels = match picture::decode(&bytes) {
         Ok(pixels) => pixels,
         Err(why) => return Ok(Err(why)),

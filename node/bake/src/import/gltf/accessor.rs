@@ -3,7 +3,10 @@
 //! An [`Accessor`] is checked once, against the bytes there are, when it is opened; after that any
 //! range of its elements can be loaded.
 
+use std::collections::HashMap;
 use std::ops::Range;
+use std::rc::Rc;
+use std::sync::{Arc, Mutex};
 
 use super::buffers::{Resources, Span};
 use super::document::{AccessorDef, ElementType, SparseDef, label};
@@ -115,6 +118,26 @@ struct Sparse {
     values: Vec<u8>,
 }
 
+/// Sparse elements by accessor: read once, however many primitives use them.
+#[derive(Default)]
+pub(super) struct SparseElements(Mutex<HashMap<usize, Arc<Sparse>>>);
+
+impl SparseElements {
+    fn of(
+        &self,
+        accessor: usize,
+        open: impl FnOnce() -> Result<Sparse, ImportError>,
+    ) -> Result<Arc<Sparse>, ImportError> {
+        let mut known = self.0.lock().expect("nobody panics while it is held");
+        if let Some(sparse) = known.get(&accessor) {
+            return Ok(Arc::clone(sparse));
+        }
+        let sparse = Arc::new(open()?);
+        known.insert(accessor, Arc::clone(&sparse));
+        Ok(sparse)
+    }
+}
+
 /// How elements are stored.
 #[derive(Clone, Copy)]
 struct Layout {
@@ -130,20 +153,57 @@ pub(super) struct Accessor {
     /// From the first element on; `None`: all zero but for the sparse elements.
     base: Option<Span>,
     layout: Layout,
-    sparse: Option<Sparse>,
+    sparse: Option<Arc<Sparse>>,
     /// How many elements it has.
     pub(super) count: usize,
 }
 
-/// Some elements of an accessor, in memory. They keep their numbers.
+/// Which elements of an accessor are loaded, in rising order.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) enum Numbers {
+    /// All of a range.
+    Range(Range<usize>),
+    /// Some that lie far apart.
+    Picked(Rc<[u32]>),
+}
+
+impl Numbers {
+    /// How many there are.
+    pub(super) fn len(&self) -> usize {
+        match self {
+            Self::Range(range) => range.len(),
+            Self::Picked(numbers) => numbers.len(),
+        }
+    }
+
+    /// The number in the accessor of the one at `place`.
+    pub(super) fn number(&self, place: usize) -> usize {
+        match self {
+            Self::Range(range) => range.start + place,
+            Self::Picked(numbers) => numbers[place] as usize,
+        }
+    }
+
+    /// Where the element with this number is, which must be among them.
+    pub(super) fn place(&self, number: usize) -> usize {
+        match self {
+            Self::Range(range) => number - range.start,
+            Self::Picked(numbers) => numbers.partition_point(|&other| (other as usize) < number),
+        }
+    }
+}
+
+/// Some elements of an accessor, in memory: numbered by their places, from 0.
 pub(super) struct Elements {
     base: Option<Vec<u8>>,
     layout: Layout,
-    sparse: Option<Sparse>,
-    range: Range<usize>,
+    sparse: Option<Arc<Sparse>>,
+    numbers: Numbers,
 }
 
 const ZERO_ELEMENT: [u8; 16] = [0; 16];
+/// Elements that are read in vain at most to spare another read.
+const MOST_SKIPPED: u32 = 64;
 
 impl Accessor {
     /// Opens accessor `number` for `role`; `user` names who refers to it, for messages.
@@ -187,46 +247,61 @@ impl Accessor {
             }
             None => (None, element_bytes),
         };
-        let sparse = match &def.sparse {
-            Some(sparse) => Some(open_sparse(resources, &at, sparse, def.count, element_bytes)?),
-            None => None,
-        };
+        let open =
+            |sparse: &SparseDef| open_sparse(resources, &at, sparse, def.count, element_bytes);
+        let sparse = def.sparse.as_ref().map(|sparse| resources.sparse.of(number, || open(sparse)));
+        let sparse = sparse.transpose()?;
         let normalized = def.normalized || role.is_always_fraction();
         let layout = Layout { stride, element_bytes, component, lanes, normalized };
         Ok(Self { base, layout, sparse, count: def.count })
     }
 
-    /// Reads the elements of `range`, which must be below `count`.
+    /// Reads the elements of `numbers`, which must be below `count`.
     pub(super) fn load(
         self,
         resources: &Resources<'_>,
-        range: Range<usize>,
+        numbers: Numbers,
     ) -> Result<Elements, ImportError> {
-        debug_assert!(range.end <= self.count);
-        let Self { base, layout, sparse, .. } = self;
-        let base = match base {
-            Some(_) if range.is_empty() => Some(Vec::new()),
-            Some(span) => {
-                let length = (range.len() - 1) * layout.stride + layout.element_bytes;
-                let part = span.part(range.start * layout.stride, length);
-                Some(resources.bytes(part.expect("all elements were found when it was opened"))?)
-            }
-            None => None,
+        let Self { base, mut layout, sparse, .. } = self;
+        let stored = |range: Range<usize>| {
+            let Some(span) = base.filter(|_| !range.is_empty()) else { return Ok(Vec::new()) };
+            let length = (range.len() - 1) * layout.stride + layout.element_bytes;
+            let part = span.part(range.start * layout.stride, length);
+            resources.bytes(part.expect("all elements were found when it was opened"))
         };
-        Ok(Elements { base, layout, sparse, range })
+
+        let bytes = match &numbers {
+            Numbers::Range(range) => stored(range.clone())?,
+            Numbers::Picked(picked) => {
+                let mut bytes = Vec::with_capacity(picked.len() * layout.element_bytes);
+                for run in picked.chunk_by(|one, next| next - one <= MOST_SKIPPED) {
+                    let first = run[0] as usize;
+                    let read = stored(first..run[run.len() - 1] as usize + 1)?;
+                    let start = |number: u32| (number as usize - first) * layout.stride;
+                    let found = run.iter().map(|&number| &read[start(number)..]);
+                    found.for_each(|found| bytes.extend(&found[..layout.element_bytes]));
+                }
+                bytes
+            }
+        };
+
+        if matches!(numbers, Numbers::Picked(_)) {
+            layout.stride = layout.element_bytes;
+        }
+        Ok(Elements { base: base.map(|_| bytes), layout, sparse, numbers })
     }
 
     /// Reads all elements.
     pub(super) fn load_all(self, resources: &Resources<'_>) -> Result<Elements, ImportError> {
-        let range = 0..self.count;
-        self.load(resources, range)
+        let all = Numbers::Range(0..self.count);
+        self.load(resources, all)
     }
 }
 
 impl Elements {
     /// How many there are.
     pub(super) fn len(&self) -> usize {
-        self.range.len()
+        self.numbers.len()
     }
 
     /// Element `i` as an index.
@@ -247,15 +322,15 @@ impl Elements {
     }
 
     fn element(&self, i: usize) -> &[u8] {
-        debug_assert!(self.range.contains(&i));
         let bytes = self.layout.element_bytes;
+        let number = || self.numbers.number(i);
         if let Some(sparse) = &self.sparse
-            && let Ok(place) = sparse.indices.binary_search_by(|&index| (index as usize).cmp(&i))
+            && let Ok(place) = sparse.indices.binary_search_by_key(&number(), |&i| i as usize)
         {
             return &sparse.values[place * bytes..][..bytes];
         }
         match &self.base {
-            Some(base) => &base[(i - self.range.start) * self.layout.stride..][..bytes],
+            Some(base) => &base[i * self.layout.stride..][..bytes],
             None => &ZERO_ELEMENT[..bytes],
         }
     }

@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use super::accessor::SparseElements;
 use super::compressed;
 use super::document::{BufferView, Document, label};
 use crate::import::error::ImportError;
@@ -18,6 +19,8 @@ pub(super) struct Resources<'a> {
     buffers: Vec<Option<Span>>,
     /// By number of a buffer view that is compressed: where it stands decoded.
     decoded: Vec<Option<Span>>,
+    /// What accessors have been found to replace.
+    pub(super) sparse: SparseElements,
 }
 
 /// Where an image stands: two that stand in the same place are one.
@@ -62,6 +65,7 @@ impl<'a> Resources<'a> {
             stores: vec![scene],
             buffers: Vec::with_capacity(document.buffers.len()),
             decoded: Vec::new(),
+            sparse: SparseElements::default(),
         };
         for number in 0..document.buffers.len() {
             let span = resources.buffer(number, bin)?;

@@ -239,8 +239,8 @@ fn pictures(
     let largest = out.limits.texture_side;
     let memory = out.limits.memory;
     let mut all = BTreeMap::new();
-    let mut waiting =
-        by_image.into_iter().map(|(image, uses)| encoded(resources, image, uses)).peekable();
+    let encoded = |(image, uses)| encoded(resources, image, uses, memory);
+    let mut waiting = by_image.into_iter().map(encoded).peekable();
     while waiting.peek().is_some() {
         // As many at once as there are threads and as the memory holds, but one at least.
         let (mut few, mut bytes) = (Vec::new(), 0u64);
@@ -312,6 +312,7 @@ fn encoded(
     resources: &Resources<'_>,
     image: usize,
     uses: BTreeSet<bool>,
+    memory: u64,
 ) -> Result<Encoded, ImportError> {
     let at = resources.image_label(image);
     let bytes = match resources.image(image) {
@@ -320,6 +321,9 @@ fn encoded(
         Err(ImportError::DataUri { what, .. }) => Err(format!("its data URI {what}")),
         Err(error) => return Err(error),
     };
+    if let Some(what) = bytes.as_ref().ok().and_then(|bytes| picture::too_large(bytes, memory)) {
+        return Err(resources.invalid(at, what, picture::FIX_TOO_LARGE));
+    }
     Ok(Encoded { image, uses, at, bytes })
 }
 

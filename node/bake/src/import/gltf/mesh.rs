@@ -2,8 +2,9 @@
 
 use std::borrow::Cow;
 use std::ops::Range;
+use std::rc::Rc;
 
-use super::accessor::{Accessor, Elements, Role};
+use super::accessor::{Accessor, Elements, Numbers, Role};
 use super::buffers::Resources;
 use super::document::{Primitive, label};
 use super::material::{Mapping, Material};
@@ -237,7 +238,6 @@ fn append(
         colors: load(colors)?,
         tex_coords: load(tex_coords)?,
         mapping: material.mapping,
-        first: used.start,
     };
     let mut paint = Cow::Borrowed(&material.paint);
     if let (Some(mapping), None) = (material.mapping, &vertices.tex_coords) {
@@ -248,15 +248,15 @@ fn append(
         paint.texture_is_opaque = true;
         paint.color.iter_mut().zip(mapping.mean).for_each(|(lane, mean)| *lane *= mean);
     }
-    if corners.count() > 0 {
+    if corners.count > 0 {
         let is_seen = is_seen(&paint, material.mapping, &vertices);
         tally.seen += u64::from(is_seen);
         tally.unseen += u64::from(!is_seen);
     }
-    let triangles = (0..topology.triangles(corners.count()))
+    let triangles = (0..topology.triangles(corners.count))
         .map(|t| topology.corners(t).map(|corner| corners.vertex(corner)));
     builder.append(&paint, &vertices, triangles).map_err(|fault| {
-        let (what, fix) = fault.numbered_from(vertices.first).explain();
+        let (what, fix) = fault.numbered(|vertex| used.number(vertex)).explain();
         resources.invalid(at.into(), what, fix)
     })
 }
@@ -280,13 +280,15 @@ fn is_seen(paint: &Paint, mapping: Option<Mapping>, vertices: &Loaded) -> bool {
         })
 }
 
-/// The vertices that follow each other, by number from the first one in use.
+/// The vertices that follow each other, by their places among those in use.
 struct Corners {
     indices: Option<Elements>,
-    range: Range<usize>,
-    /// Vertices in use: those between the lowest and the highest index.
-    vertices: Range<usize>,
+    count: usize,
+    vertices: Numbers,
 }
+
+/// Vertices from the lowest to the highest index are read as one, up to so many times the corners.
+const WIDE: usize = 64;
 
 impl Corners {
     /// The corners of `range`, which must be there, of a primitive with so many vertices.
@@ -297,14 +299,18 @@ impl Corners {
         range: Range<usize>,
         vertices: usize,
     ) -> Result<Self, ImportError> {
+        let count = range.len();
         let Some(indices) = indices else {
-            return Ok(Self { indices: None, vertices: range.clone(), range });
+            return Ok(Self { indices: None, count, vertices: Numbers::Range(range) });
         };
-        let indices = indices.load(resources, range.clone())?;
+        let start = range.start;
+        let indices = indices.load(resources, Numbers::Range(range))?;
+
         let (mut low, mut high) = (usize::MAX, 0);
-        for corner in range.clone() {
+        for corner in 0..count {
             let index = indices.index(corner) as usize;
             if index >= vertices {
+                let corner = start + corner;
                 let what = format!(
                     "its index {index}, at place {corner}, is beyond its {vertices} positions"
                 );
@@ -313,28 +319,36 @@ impl Corners {
             low = low.min(index);
             high = high.max(index + 1);
         }
-        Ok(Self { indices: Some(indices), range, vertices: low.min(high)..high })
-    }
 
-    fn count(&self) -> usize {
-        self.range.len()
+        let range = low.min(high)..high;
+        let vertices = match range.len() > WIDE.saturating_mul(count) {
+            true => Numbers::Picked(picked(&indices, count)),
+            false => Numbers::Range(range),
+        };
+        Ok(Self { indices: Some(indices), count, vertices })
     }
 
     fn vertex(&self, corner: usize) -> usize {
-        let corner = self.range.start + corner;
-        let vertex = self.indices.as_ref().map_or(corner, |all| all.index(corner) as usize);
-        vertex - self.vertices.start
+        let Some(indices) = &self.indices else { return corner };
+        self.vertices.place(indices.index(corner) as usize)
     }
 }
 
-/// Attributes of one primitive, from its vertex `first` on.
+/// The vertices that so many corners name, in rising order.
+fn picked(indices: &Elements, corners: usize) -> Rc<[u32]> {
+    let mut picked: Vec<u32> = (0..corners).map(|corner| indices.index(corner)).collect();
+    picked.sort_unstable();
+    picked.dedup();
+    picked.into()
+}
+
+/// Attributes of the vertices in use of one primitive.
 struct Loaded {
     positions: Elements,
     normals: Option<Elements>,
     colors: Option<Elements>,
     tex_coords: Option<Elements>,
     mapping: Option<Mapping>,
-    first: usize,
 }
 
 impl Vertices for Loaded {
@@ -343,19 +357,19 @@ impl Vertices for Loaded {
     }
 
     fn position(&self, vertex: usize) -> [f64; 3] {
-        self.positions.vector(self.first + vertex).map(f64::from)
+        self.positions.vector(vertex).map(f64::from)
     }
 
     fn normal(&self, vertex: usize) -> Option<[f32; 3]> {
-        self.normals.as_ref().map(|normals| normals.vector(self.first + vertex))
+        self.normals.as_ref().map(|normals| normals.vector(vertex))
     }
 
     fn color(&self, vertex: usize) -> [f32; 4] {
-        self.colors.as_ref().map_or([1.0; 4], |colors| colors.vector(self.first + vertex))
+        self.colors.as_ref().map_or([1.0; 4], |colors| colors.vector(vertex))
     }
 
     fn tex_coord(&self, vertex: usize) -> [f32; 2] {
-        let coord = self.tex_coords.as_ref().map(|coords| coords.vector(self.first + vertex));
+        let coord = self.tex_coords.as_ref().map(|coords| coords.vector(vertex));
         match (coord, &self.mapping) {
             (Some(coord), Some(mapping)) => mapping.apply(coord),
             _ => [0.0; 2],

@@ -58,6 +58,7 @@ pub(super) fn placements(
         .collect();
     let mut seen = vec![false; nodes.len()];
     let mut placements = Vec::new();
+    let most = FREE_INSTANCES.max(resources.total_bytes());
     while let Some((number, world_from_parent)) = stack.pop() {
         if std::mem::replace(&mut seen[number], true) {
             return Err(no_tree(
@@ -85,9 +86,9 @@ pub(super) fn placements(
                 placements.push(Placement { name: own, mesh, world_from_mesh: world_from_node });
                 continue;
             };
-            for (place, node_from_mesh) in
-                instances(resources, &name(number), instancing)?.into_iter().enumerate()
-            {
+            let left = most.saturating_sub(placements.len() as u64);
+            let instances = instances(resources, &name(number), instancing, left)?;
+            for (place, node_from_mesh) in instances.into_iter().enumerate() {
                 let world_from_mesh = world_from_node * node_from_mesh;
                 if !world_from_mesh.is_finite() {
                     let what = format!("the transform of its instance {place} is not finite");
@@ -159,11 +160,16 @@ fn roots(
     Ok(scene.nodes.clone())
 }
 
-/// Where a node shows its mesh, relative to itself (EXT_mesh_gpu_instancing).
+/// So many instances are read, or one for each byte of the buffers: a dozen nodes may show theirs by the
+/// same list.
+const FREE_INSTANCES: u64 = 1 << 20;
+
+/// Where a node shows its mesh, relative to itself (EXT_mesh_gpu_instancing): `most` times at most.
 fn instances(
     resources: &Resources<'_>,
     at: &str,
     instancing: &Instancing,
+    most: u64,
 ) -> Result<Vec<DAffine3>, ImportError> {
     let load = |attribute: &str, role| {
         let Some(&accessor) = instancing.attributes.get(attribute) else { return Ok(None) };
@@ -181,6 +187,11 @@ fn instances(
     if let Some(other) = counts.find(|&other| other != count) {
         let what = format!("its instances have {count} of one attribute and {other} of another");
         return Err(resources.broken(at, what));
+    }
+    if count as u64 > most {
+        let bytes = resources.total_bytes();
+        let what = format!("with its {count} instances the scene names too many in {bytes} bytes");
+        return Err(resources.invalid(at.into(), what, "divide the scene"));
     }
     let vector = |all: &Option<Elements>, i: usize, default: f64| {
         all.as_ref()

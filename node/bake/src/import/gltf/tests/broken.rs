@@ -7,7 +7,7 @@ use serde_json::{Value, json};
 
 use super::extensions::square;
 use crate::import::gltf::testing::import_bytes;
-use crate::import::gltf::testing::{Scene, U8, png};
+use crate::import::gltf::testing::{Scene, U8, U32, png};
 use crate::import::testing::TEXTURE_SIDE;
 use crate::import::{ImportError, ImportErrorKind, import_all as import};
 
@@ -197,6 +197,25 @@ fn a_list_used_again_and_again_is_refused_before_it_is_read() {
     flat.json["nodes"] = json!(vec![json!({"mesh": 0}); 900]);
     assert_eq!(flat.import().unwrap().objects.len(), 900);
     assert_eq!(many(false, 3).import().unwrap().triangles(), 60_000);
+}
+
+#[test]
+fn instances_out_of_nothing_are_refused_before_they_are_made() {
+    // Zeros but for one element cost no bytes.
+    let mut scene = Scene::triangle();
+    let (places, values) = (scene.view(&[0; 4]), scene.view(&[0; 12]));
+    scene.view(&[0; 100_000]);
+    let all = json!({"componentType": 5126, "type": "VEC3", "count": 100_000, "sparse": {
+        "count": 1, "indices": {"bufferView": places, "componentType": U32},
+        "values": {"bufferView": values}}});
+    let all = scene.add("accessors", all);
+    let instances = json!({"EXT_mesh_gpu_instancing": {"attributes": {"TRANSLATION": all}}});
+    let node = json!({"name": "wood", "mesh": 0, "extensions": instances});
+    scene.json["nodes"] = json!(vec![node.clone(); 10]);
+    assert_eq!(scene.import().unwrap().objects.len(), 1_000_000);
+    scene.json["nodes"] = json!(vec![node; 11]);
+    let message = scene.error();
+    assert!(message.contains("node 10 \"wood\": with its 100000 instances"), "{message}");
 }
 
 #[test]

@@ -317,5 +317,8 @@ fn pictures_come_out_the_same_with_little_memory() {
     let with = |memory| scene.import_within(ImportLimits { memory, ..ImportLimits::default() });
     let much = with(1 << 30).unwrap();
     assert_eq!(much.textures.len(), 10);
-    assert_eq!(with(1).unwrap(), much);
+    // A picture is 16 bytes, and one at a time is decoded; less holds none.
+    assert_eq!(with(16).unwrap(), much);
+    let error = with(15).unwrap_err().to_string();
+    assert!(error.contains("to decode it") && error.contains("raise --memory"), "{error}");
 }

@@ -94,3 +94,49 @@ fn a_wrong_index_far_behind_is_named_by_its_place() {
     let says = scene.error();
     assert!(says.contains("its index 4294967295, at place 393215"), "{says}");
 }
+
+/// A triangle of vertices that stand far apart in a list of `count`, beside normals, with a sparse one.
+fn wide(count: u32) -> Scene {
+    let mut scene = Scene::new();
+    let points = (0..count).flat_map(|i| [i as f32, (i % 7) as f32, 0.0, 0.0, 0.6, 0.8]);
+    let both: Vec<u8> = points.flat_map(f32::to_le_bytes).collect();
+    let view = scene.view(&both);
+    scene.json["bufferViews"][view]["byteStride"] = json!(24);
+    let accessor = |offset: u32| {
+        json!({"bufferView": view, "byteOffset": offset, "componentType": F32, "type": "VEC3",
+            "count": count})
+    };
+    let mut positions = accessor(0);
+    let places = scene.view(&(count - 2).to_le_bytes());
+    let values: Vec<u8> = [5.0f32, 6.0, 7.0].into_iter().flat_map(f32::to_le_bytes).collect();
+    let values = scene.view(&values);
+    positions["sparse"] = json!({"count": 1, "indices": {"bufferView": places, "componentType": U32},
+        "values": {"bufferView": values}});
+    let positions = scene.add("accessors", positions);
+    let normals = scene.add("accessors", accessor(12));
+    let corners = [count - 2, 3, count / 2, 3, 4, count - 2];
+    let corners: Vec<u8> = corners.into_iter().flat_map(u32::to_le_bytes).collect();
+    let indices = scene.accessor(U32, "SCALAR", 6, &corners);
+    let attributes = json!({"POSITION": positions, "NORMAL": normals});
+    scene.add("meshes", json!({"primitives": [{"attributes": attributes, "indices": indices}]}));
+    scene.add("nodes", json!({"mesh": 0}));
+    scene
+}
+
+#[test]
+fn vertices_far_apart_in_a_list_are_picked_from_it() {
+    // In a short list they are read with what lies between them.
+    for count in [60, 100_000] {
+        let source = wide(count).import().unwrap();
+        let mesh = &source.meshes[0];
+        let at = |i: u32| [i as f32, (i % 7) as f32, 0.0];
+        let mended = [5.0, 6.0, 7.0];
+        assert_eq!(mesh.positions, [mended, at(3), at(count / 2), at(4)], "{count}");
+        assert_eq!(mesh.normals, [[0.0, 0.6, 0.8]; 4]);
+        assert_eq!(mesh.indices, [[0, 1, 2], [1, 3, 0]]);
+    }
+    let mut broken = wide(100_000);
+    let third = 24 * 50_000;
+    broken.bin[third..third + 4].copy_from_slice(&f32::NAN.to_le_bytes());
+    assert!(broken.error().contains("its position 50000 is [NaN"), "{}", broken.error());
+}
